@@ -1,0 +1,2 @@
+//! Contact sensing, sampling and commands of the fingertip board.
+#![no_std]

@@ -1,0 +1,12 @@
+//! From contacts to a smooth surface.
+//!
+//! The folders follow the way of one contact: [`cloud`] holds world points with normals, [`mesh`] the
+//! triangle meshes, [`spline`] the patches and their gluing, [`reconstruct`] the four phases that lead
+//! from the first to the last. Everything is `f64`; lengths are in the unit of the input.
+
+pub mod cloud;
+pub mod mesh;
+pub mod spline;
+
+/// A point or a direction in space; lengths in the unit of the input.
+pub type Vec3 = nalgebra::Vector3<f64>;

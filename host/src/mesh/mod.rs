@@ -1,0 +1,5 @@
+//! Triangle meshes.
+
+mod triangle_mesh;
+
+pub use triangle_mesh::TriangleMesh;
