@@ -1,6 +1,11 @@
 //! Splines over triangles: mathematics only; knows no file, no cloud and no serial line.
 
 pub mod bernstein;
+pub mod edges;
+mod measures;
+mod sampling;
 mod surface;
 
-pub use surface::{SampledSurface, Surface};
+pub use measures::{Measures, PLACES, Topology, angle_degrees};
+pub use sampling::{MAX_SEGMENTS, SampledSurface};
+pub use surface::{Surface, SurfaceError, casteljau, combine};

@@ -4,7 +4,8 @@
 //! points of their common edge. Everything that reads a surface (export, pictures, evaluation, planning)
 //! starts from [`Surface`].
 
-use super::bernstein::{CONTROL_POINTS, DEGREE};
+use super::bernstein::{CONTROL_POINTS, DEGREE, FIRST, SECOND, edge_index};
+use super::edges::{EdgeError, EdgeTable};
 use crate::Vec3;
 
 /// A network of triangular patches of degree 5, tangent-plane continuous except across creases.
@@ -23,44 +24,189 @@ pub struct Surface {
     pub sigma: Vec<f64>,
 }
 
-/// Points sampled from a surface, joined by triangles without cracks: shared vertices on shared edges.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SampledSurface {
-    /// Sampled points.
-    pub positions: Vec<Vec3>,
-    /// Exact unit surface normal per point. Points on a crease stand once per side.
-    pub normals: Vec<Vec3>,
-    /// Standard deviation per point (linear between the vertices' values); empty if unknown.
-    pub sigma: Vec<f64>,
-    /// Triangles, counter-clockwise seen from outside.
-    pub triangles: Vec<[u32; 3]>,
-    /// Patch each triangle came from.
-    pub patches: Vec<u32>,
+/// Why a surface is no valid network.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SurfaceError {
+    /// The faces are no proper triangulation.
+    #[error(transparent)]
+    Edges(#[from] EdgeError),
+    /// Lists of different lengths.
+    #[error("{what}: {found} entries, {wanted} needed; the surface is damaged, write it again")]
+    Count {
+        /// Which list.
+        what: &'static str,
+        /// Entries found.
+        found: usize,
+        /// Entries needed.
+        wanted: usize,
+    },
+    /// A coordinate that is not finite.
+    #[error(
+        "control point {number} of patch {patch} is not finite; the surface is damaged, write it again"
+    )]
+    NotFinite {
+        /// The patch.
+        patch: usize,
+        /// The control point.
+        number: usize,
+    },
+    /// Two patches that share an edge disagree about its control points.
+    #[error(
+        "patches {0} and {1} share an edge but not its control points; the surface is damaged, write it again"
+    )]
+    Gap(u32, u32),
 }
 
 impl Surface {
     /// Degree of every patch.
     pub const DEGREE: usize = DEGREE;
 
+    /// Checks that lists fit together, numbers are finite and shared edges have shared control points.
+    ///
+    /// # Errors
+    /// The first thing found wrong.
+    pub fn check(&self) -> Result<EdgeTable, SurfaceError> {
+        let table = EdgeTable::new(self.vertices.len(), &self.faces)?;
+        let same = |what, found, wanted| {
+            if found == wanted {
+                Ok(())
+            } else {
+                Err(SurfaceError::Count {
+                    what,
+                    found,
+                    wanted,
+                })
+            }
+        };
+        same(
+            "control points",
+            self.control_points.len(),
+            self.faces.len(),
+        )?;
+        if !self.sigma.is_empty() {
+            same("sigma", self.sigma.len(), self.vertices.len())?;
+        }
+        for (patch, points) in self.control_points.iter().enumerate() {
+            if let Some(number) = points.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+                return Err(SurfaceError::NotFinite { patch, number });
+            }
+        }
+        for edge in &table.edges {
+            let Some([p, q]) = edge.both() else { continue };
+            for along in 0..=DEGREE {
+                let mine = &self.control_points[p.face as usize]
+                    [edge_index(usize::from(p.local), 0, along)];
+                let theirs = &self.control_points[q.face as usize]
+                    [edge_index(usize::from(q.local), 0, DEGREE - along)];
+                if mine != theirs {
+                    return Err(SurfaceError::Gap(p.face, q.face));
+                }
+            }
+        }
+        Ok(table)
+    }
+
     /// Point of patch `face` at barycentric coordinates (sum 1), by de Casteljau's algorithm.
     ///
     /// # Panics
     /// If `face` is no patch of this surface.
     pub fn point(&self, face: usize, barycentric: [f64; 3]) -> Vec3 {
-        let mut points = self.control_points[face];
-        for degree in (0..DEGREE).rev() {
-            let mut row = 0;
-            for rest in 0..=degree {
-                for k in 0..=rest {
-                    let first = rest * (rest + 1) / 2 + k;
-                    let next = (rest + 1) * (rest + 2) / 2 + k;
-                    points[row] = points[first] * barycentric[0]
-                        + points[next] * barycentric[1]
-                        + points[next + 1] * barycentric[2];
-                    row += 1;
-                }
+        casteljau(&self.control_points[face], barycentric)
+    }
+
+    /// First derivatives of patch `face` by u and v (see [`super::bernstein`]).
+    ///
+    /// # Panics
+    /// If `face` is no patch of this surface.
+    pub fn first_derivatives(&self, face: usize, barycentric: [f64; 3]) -> [Vec3; 2] {
+        let points = &self.control_points[face];
+        [0, 1].map(|d| combine(points, &FIRST[d].weights(barycentric)))
+    }
+
+    /// Second derivatives of patch `face` by uu, uv and vv.
+    ///
+    /// # Panics
+    /// If `face` is no patch of this surface.
+    pub fn second_derivatives(&self, face: usize, barycentric: [f64; 3]) -> [Vec3; 3] {
+        let points = &self.control_points[face];
+        [0, 1, 2].map(|d| combine(points, &SECOND[d].weights(barycentric)))
+    }
+
+    /// Outward unit normal of patch `face`; the patch's plane normal where both tangents vanish.
+    ///
+    /// # Panics
+    /// If `face` is no patch of this surface.
+    pub fn normal(&self, face: usize, barycentric: [f64; 3]) -> Vec3 {
+        let [du, dv] = self.first_derivatives(face, barycentric);
+        let cross = du.cross(&dv);
+        let length = cross.norm();
+        if length > 1e-14 * du.norm_squared().max(dv.norm_squared()) && length > 0.0 {
+            return cross / length;
+        }
+        let corners = &self.control_points[face];
+        let flat = (corners[15] - corners[0]).cross(&(corners[20] - corners[0]));
+        flat.try_normalize(0.0).unwrap_or_else(Vec3::z)
+    }
+
+    /// Mean (H) and Gaussian (K) curvature of patch `face`, positive H where the surface bends away from
+    /// its normal (a sphere of radius r seen from outside: H = 1/r, K = 1/r^2). `None` where the patch is
+    /// not regular.
+    ///
+    /// # Panics
+    /// If `face` is no patch of this surface.
+    pub fn curvature(&self, face: usize, barycentric: [f64; 3]) -> Option<[f64; 2]> {
+        let [du, dv] = self.first_derivatives(face, barycentric);
+        let [duu, duv, dvv] = self.second_derivatives(face, barycentric);
+        let normal = du.cross(&dv).try_normalize(1e-300)?;
+        let (e, f, g) = (du.dot(&du), du.dot(&dv), dv.dot(&dv));
+        let (l, m, n) = (duu.dot(&normal), duv.dot(&normal), dvv.dot(&normal));
+        let det = e * g - f * f;
+        (det > 0.0).then(|| {
+            [
+                -(e * n - 2.0 * f * m + g * l) / (2.0 * det),
+                (l * n - m * m) / det,
+            ]
+        })
+    }
+
+    /// Whether the edge between two vertices is a crease.
+    pub fn is_crease(&self, a: u32, b: u32) -> bool {
+        let key = [a.min(b), a.max(b)];
+        self.creases.contains(&key)
+    }
+
+    /// Lowest and highest corner of the control points' bounding box, which holds the whole surface
+    /// (convex hull property); `None` without patches.
+    pub fn bounding_box(&self) -> Option<(Vec3, Vec3)> {
+        let mut points = self.control_points.iter().flatten();
+        let first = *points.next()?;
+        Some(points.fold((first, first), |(low, high), p| (low.inf(p), high.sup(p))))
+    }
+}
+
+/// de Casteljau's algorithm on the control points of one patch.
+pub fn casteljau(control_points: &[Vec3; CONTROL_POINTS], barycentric: [f64; 3]) -> Vec3 {
+    let mut points = *control_points;
+    for degree in (0..DEGREE).rev() {
+        let mut row = 0;
+        for rest in 0..=degree {
+            for k in 0..=rest {
+                let first = rest * (rest + 1) / 2 + k;
+                let next = (rest + 1) * (rest + 2) / 2 + k;
+                points[row] = points[first] * barycentric[0]
+                    + points[next] * barycentric[1]
+                    + points[next + 1] * barycentric[2];
+                row += 1;
             }
         }
-        points[0]
     }
+    points[0]
+}
+
+/// Weighted sum of a patch's control points.
+pub fn combine(control_points: &[Vec3; CONTROL_POINTS], weights: &[f64; CONTROL_POINTS]) -> Vec3 {
+    control_points
+        .iter()
+        .zip(weights)
+        .fold(Vec3::zeros(), |sum, (point, weight)| sum + point * *weight)
 }
