@@ -7,6 +7,7 @@
 pub mod cloud;
 pub mod hand;
 pub mod mesh;
+pub mod ply;
 pub mod spline;
 
 /// A point or a direction in space; lengths in the unit of the input.

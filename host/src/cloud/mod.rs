@@ -1,5 +1,13 @@
 //! Points with normals, as measured: what every reader yields and every later stage starts from.
 
+mod neighbourhood;
+mod read;
+mod write;
+
+pub use neighbourhood::Neighbourhoods;
+pub use read::{LARGEST, ReadError, from_bytes, read, read_all};
+pub use write::write_ply;
+
 use crate::Vec3;
 
 /// One measured point of the surface with the outward unit normal there.
