@@ -6,8 +6,10 @@
 
 pub mod cloud;
 pub mod hand;
+pub mod link;
 pub mod mesh;
 pub mod ply;
+pub mod run;
 pub mod spline;
 
 /// A point or a direction in space; lengths in the unit of the input.
