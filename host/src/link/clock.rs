@@ -1,11 +1,11 @@
 //! Where a board's clock stands against the host's, kept up from round trips.
 //!
-//! Every round trip brackets one reading of the board's clock: the host sent at `sent_us`, the board
-//! read `board_us`, the host had the answer at `received_us`. Whatever the link did to the two
-//! messages, the reading was taken in between, so for the line `host = offset + rate * board`
+//! Every round trip has four times: the host sent at `sent_us`, the board had the request at
+//! `board_received_us` and sent its answer at `board_sent_us`, the host had it at `received_us`. Whatever the
+//! link did to the two messages, for the line `host = offset + rate * board`
 //!
 //! ```text
-//! sent_us  <=  offset + rate * board_us  <=  received_us        for every round trip.
+//! sent_us  <=  offset + rate * board_received_us   and   offset + rate * board_sent_us  <=  received_us.
 //! ```
 //!
 //! [`ClockFilter`] keeps the round trips of a sliding window and takes the line with the widest room
@@ -50,13 +50,15 @@ const CONTRADICTION_US: f64 = 3_000.0;
 /// was mismatched.
 const CONTRADICTIONS_FOR_A_JUMP: usize = 3;
 
-/// One reading of a board's clock, bracketed by two readings of the host's.
+/// A request and its answer, as both clocks saw them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RoundTrip {
     /// Host's clock right before the request was written, microseconds since the Unix epoch.
     pub sent_us: i64,
-    /// Board's clock when it read the request, microseconds since its start.
-    pub board_us: i64,
+    /// Board's clock when it had the request, microseconds since its start.
+    pub board_received_us: i64,
+    /// Board's clock when it sent the answer, microseconds since its start.
+    pub board_sent_us: i64,
     /// Host's clock right after the answer had been read, microseconds since the Unix epoch.
     pub received_us: i64,
 }
@@ -121,7 +123,7 @@ impl ClockFit {
 pub enum ClockEvent {
     /// It joined the window.
     Kept,
-    /// It can't be: answered before it was sent. Left out.
+    /// It can't be: an answer before its request. Left out.
     Impossible,
     /// It contradicts the line; left out unless the next ones agree with it.
     Doubted,
@@ -159,7 +161,7 @@ impl ClockFilter {
 
     /// Takes one round trip in and brings the line up to date.
     pub fn add(&mut self, trip: RoundTrip) -> ClockEvent {
-        if trip.received_us < trip.sent_us {
+        if trip.received_us < trip.sent_us || trip.board_sent_us < trip.board_received_us {
             return ClockEvent::Impossible;
         }
         let miss_us = self.miss_us(&trip);
@@ -195,17 +197,22 @@ impl ClockFilter {
         let Some(fit) = &self.fit else {
             return 0.0;
         };
-        let line = fit.host_us(trip.board_us);
-        let age_us = trip.board_us.saturating_sub(fit.origin_board_us);
-        // A young line may still be off by the whole believed drift.
-        let slack = 2.0 * MAX_DRIFT * age_us.unsigned_abs() as f64;
-        let miss = if line > trip.received_us {
-            line.saturating_sub(trip.received_us) as f64
-        } else if line < trip.sent_us {
-            line.saturating_sub(trip.sent_us) as f64
+        let above = fit
+            .host_us(trip.board_sent_us)
+            .saturating_sub(trip.received_us);
+        let below = fit
+            .host_us(trip.board_received_us)
+            .saturating_sub(trip.sent_us);
+        let miss = if above > 0 {
+            above as f64
+        } else if below < 0 {
+            below as f64
         } else {
             0.0
         };
+        // A young line may still be off by the whole believed drift.
+        let age_us = trip.board_sent_us.saturating_sub(fit.origin_board_us);
+        let slack = 2.0 * MAX_DRIFT * age_us.unsigned_abs() as f64;
         // The slack only excuses what a wrong rate can explain while the window is short.
         let excused = if fit.span_us < 2_000_000 { slack } else { 0.0 };
         if miss.abs() <= excused { 0.0 } else { miss }
@@ -302,17 +309,19 @@ impl Bounds {
 /// widest line, which hangs on three round trips, the mean halves the error after ten seconds.
 fn fit(window: &VecDeque<RoundTrip>) -> Option<ClockFit> {
     let (first, last) = (window.front()?, window.back()?);
-    let (origin_board_us, origin_host_us) = (last.board_us, last.sent_us);
+    let (origin_board_us, origin_host_us) = (last.board_received_us, last.sent_us);
     let relative = |host_us: i64, board: i64| {
         let height = host_us.saturating_sub(origin_host_us).saturating_sub(board);
         (board as f64, height as f64)
     };
     let (mut below, mut above, mut trips_us) = (Vec::new(), Vec::new(), 0.0);
     for trip in window {
-        let board = trip.board_us.saturating_sub(origin_board_us);
-        below.push(relative(trip.sent_us, board));
-        above.push(relative(trip.received_us, board));
-        trips_us += trip.received_us.saturating_sub(trip.sent_us) as f64;
+        let received = trip.board_received_us.saturating_sub(origin_board_us);
+        let sent = trip.board_sent_us.saturating_sub(origin_board_us);
+        below.push(relative(trip.sent_us, received));
+        above.push(relative(trip.received_us, sent));
+        let away = trip.received_us.saturating_sub(trip.sent_us);
+        trips_us += away.saturating_sub(sent.saturating_sub(received)) as f64;
     }
     let bounds = Bounds {
         below: hull(below, 1.0),
@@ -353,7 +362,9 @@ fn fit(window: &VecDeque<RoundTrip>) -> Option<ClockFit> {
         drift,
         bound_us: 0.5 * width_us.abs(),
         round_trips: window.len(),
-        span_us: last.board_us.saturating_sub(first.board_us),
+        span_us: last
+            .board_received_us
+            .saturating_sub(first.board_received_us),
     })
 }
 
@@ -390,8 +401,9 @@ mod tests {
             let back = 300.0 + self.rng.random_range(0.0..self.jitter_us);
             RoundTrip {
                 sent_us: sent_us as i64,
-                board_us: self.board_us(sent_us + out) as i64,
-                received_us: (sent_us + out + back) as i64,
+                board_received_us: self.board_us(sent_us + out) as i64,
+                board_sent_us: self.board_us(sent_us + out + 120.0) as i64,
+                received_us: (sent_us + out + 120.0 + back) as i64,
             }
         }
     }
@@ -446,7 +458,8 @@ mod tests {
         assert!(filter.fit().is_none());
         filter.add(RoundTrip {
             sent_us: 1_000,
-            board_us: 50,
+            board_received_us: 50,
+            board_sent_us: 50,
             received_us: 3_000,
         });
         let fit = filter.fit().expect("one round trip");
@@ -459,7 +472,8 @@ mod tests {
         let mut filter = ClockFilter::new();
         let event = filter.add(RoundTrip {
             sent_us: 10,
-            board_us: 0,
+            board_received_us: 0,
+            board_sent_us: 0,
             received_us: 9,
         });
         assert_eq!(event, ClockEvent::Impossible);
@@ -471,7 +485,8 @@ mod tests {
         let mut board = Board::new(1, NOW, 20e-6, 1_000.0);
         let mut filter = after(20.0, 10.0, &mut board);
         let mut wrong = board.trip(NOW + 20e6);
-        wrong.board_us += 400_000;
+        wrong.board_received_us += 400_000;
+        wrong.board_sent_us += 400_000;
         assert_eq!(filter.add(wrong), ClockEvent::Doubted);
         assert_eq!(
             filter.add(board.trip(NOW + 20.1e6)),
@@ -502,12 +517,14 @@ mod tests {
                     for _ in 0..4 {
                         filter.add(RoundTrip {
                             sent_us: 0,
-                            board_us: 0,
+                            board_received_us: 0,
+                            board_sent_us: 0,
                             received_us: 1,
                         });
                         filter.add(RoundTrip {
                             sent_us,
-                            board_us,
+                            board_received_us: board_us,
+                            board_sent_us: board_us.saturating_add(received_us),
                             received_us,
                         });
                     }
