@@ -4,6 +4,7 @@ pub mod bernstein;
 pub mod edges;
 mod measures;
 mod sampling;
+pub mod simplex;
 mod surface;
 
 pub use measures::{Measures, PLACES, Topology, angle_degrees};
