@@ -10,6 +10,7 @@ pub mod link;
 pub mod mesh;
 pub mod ply;
 pub mod run;
+pub mod simulate;
 pub mod spline;
 
 /// A point or a direction in space; lengths in the unit of the input.

@@ -19,3 +19,4 @@ pub use legal::{CollapseTo, Freedom, IllegalMove};
 pub use sampling::{Sample, sample_by_area};
 pub use topology::{Topology, topology};
 pub use triangle_mesh::TriangleMesh;
+pub(crate) use triangle_mesh::unit_or_zero;
