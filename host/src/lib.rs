@@ -5,12 +5,14 @@
 //! from the first to the last. Everything is `f64`; lengths are in the unit of the input.
 
 pub mod cloud;
+pub mod export;
 pub mod hand;
 pub mod link;
 pub mod mesh;
 pub mod ply;
 pub mod run;
 pub mod simulate;
+pub mod report;
 pub mod spline;
 
 /// A point or a direction in space; lengths in the unit of the input.
