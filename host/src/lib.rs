@@ -13,6 +13,7 @@ pub mod ply;
 pub mod run;
 pub mod simulate;
 pub mod report;
+pub mod run;
 pub mod spline;
 
 /// A point or a direction in space; lengths in the unit of the input.
