@@ -10,10 +10,9 @@ pub mod hand;
 pub mod link;
 pub mod mesh;
 pub mod ply;
-pub mod run;
-pub mod simulate;
 pub mod report;
 pub mod run;
+pub mod simulate;
 pub mod spline;
 
 /// A point or a direction in space; lengths in the unit of the input.
