@@ -2,7 +2,9 @@
 
 pub mod bernstein;
 pub mod edges;
+pub mod energy;
 mod measures;
+pub mod network;
 mod sampling;
 pub mod simplex;
 mod surface;
