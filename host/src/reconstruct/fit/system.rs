@@ -1,0 +1,375 @@
+//! The linear system of a fit: sparse normal equations of the control points under the G1 equations.
+//!
+//! Minimise x^T H x - 2 b^T x subject to A x = 0 by an augmented Lagrangian: factor H + rho A^T A once per
+//! round (its pattern never changes, so the symbolic factorisation is made once per network), then repeat
+//! x = solve(b - A^T y), y += rho A x. Redundant equations do no harm and no rank has to be decided.
+//!
+//! Unknowns are control points as blocks of three coordinates: the distance along a surface normal couples
+//! x, y and z. Entries are added in a fixed order on one thread, so results do not depend on threads.
+
+use crate::Vec3;
+use crate::spline::bernstein::CONTROL_POINTS;
+use crate::spline::energy::{PatchForm, THIN_PLATE, THIRD, jump_rows};
+use crate::spline::network::{Equation, Network};
+use faer::linalg::solvers::Solve;
+use faer::prelude::*;
+use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
+use nalgebra::Matrix3;
+
+/// Entries of the lower triangle of a patch's 21 x 21 form.
+pub const PAIRS: usize = CONTROL_POINTS * (CONTROL_POINTS + 1) / 2;
+
+/// Why a system could not be solved.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SystemError {
+    /// The symbolic or numeric factorisation failed.
+    #[error("the equations of the fit could not be factored ({0}); use a coarser tolerance or fewer patches")]
+    Factor(String),
+    /// The solution is not finite.
+    #[error("the fit has no finite solution; check the input for coinciding or far-off points")]
+    NotFinite,
+}
+
+/// Penalty of the G1 equations relative to the mean diagonal of the energy: large enough to converge in a
+/// few steps, small enough that rounding leaves the soft directions alone.
+const PENALTY: f64 = 1e5;
+/// Most steps of the multipliers.
+const MULTIPLIER_STEPS: usize = 25;
+/// Largest residual of an equation, relative to the size of the surface: about 1e-10 degrees.
+const RESIDUAL: f64 = 2e-14;
+
+/// The sums that data contribute to one patch: lower triangle of 3 x 3 blocks, and the right-hand side.
+#[derive(Clone)]
+pub struct PatchSums {
+    /// Blocks (a, b), a >= b, at a (a + 1) / 2 + b: symmetric, as xx, xy, xz, yy, yz, zz.
+    pub blocks: Vec<[f64; 6]>,
+    /// Right-hand side per control point.
+    pub right: [Vec3; CONTROL_POINTS],
+}
+
+impl Default for PatchSums {
+    fn default() -> Self {
+        Self {
+            blocks: vec![[0.0; 6]; PAIRS],
+            right: [Vec3::zeros(); CONTROL_POINTS],
+        }
+    }
+}
+
+impl PatchSums {
+    /// Adds the square of the linear residual `metric^(1/2) (sum weights * point - target)`.
+    pub fn add(&mut self, weights: &[f64; CONTROL_POINTS], metric: &Matrix3<f64>, target: &Vec3) {
+        let m = [
+            metric[(0, 0)],
+            metric[(0, 1)],
+            metric[(0, 2)],
+            metric[(1, 1)],
+            metric[(1, 2)],
+            metric[(2, 2)],
+        ];
+        let mut slot = 0;
+        for a in 0..CONTROL_POINTS {
+            for b in 0..=a {
+                let product = weights[a] * weights[b];
+                for (sum, value) in self.blocks[slot].iter_mut().zip(m) {
+                    *sum += product * value;
+                }
+                slot += 1;
+            }
+        }
+        let pulled = metric * target;
+        for (sum, weight) in self.right.iter_mut().zip(weights) {
+            *sum += pulled * *weight;
+        }
+    }
+}
+
+/// Pattern, constant parts and symbolic factorisation for one network.
+pub struct System {
+    count: usize,
+    /// Block columns: rows (>= column) of column c stand in rows[starts[c] .. starts[c + 1]], the diagonal first.
+    starts: Vec<usize>,
+    rows: Vec<u32>,
+    /// Block of each pair of each patch.
+    patch_blocks: Vec<[u32; PAIRS]>,
+    /// Scalar part (times the unit matrix) of the smoothing and of the G1 equations per block.
+    energy: Vec<f64>,
+    penalty: Vec<f64>,
+    equations: Vec<Equation>,
+    columns: Vec<usize>,
+    indices: Vec<usize>,
+    symbolic: SymbolicLlt<usize>,
+}
+
+/// What holds the network where data are few, relative to each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Smoothing {
+    /// Third derivatives within patches.
+    pub third: f64,
+    /// Jump of the second cross derivative across smooth edges.
+    pub jump: f64,
+    /// Thin plate within patches.
+    pub thin_plate: f64,
+}
+
+impl System {
+    /// Lays out the system of a network.
+    ///
+    /// # Errors
+    /// When the symbolic factorisation fails (memory).
+    pub fn new(network: &Network, smoothing: Smoothing) -> Result<Self, SystemError> {
+        let count = network.point_count;
+        let equations = network.equations();
+        let jumps: Vec<Vec<(u32, f64)>> = (0..network.table.edges.len())
+            .flat_map(|edge| jump_rows(network, edge))
+            .collect();
+        let mut pairs: Vec<(u32, u32)> = Vec::new();
+        let mut couple = |numbers: &mut Vec<u32>| {
+            numbers.sort_unstable();
+            for (place, column) in numbers.iter().enumerate() {
+                pairs.extend(numbers[place..].iter().map(|row| (*column, *row)));
+            }
+        };
+        for numbers in &network.numbers {
+            couple(&mut numbers.to_vec());
+        }
+        for edge in 0..network.table.edges.len() {
+            // All equations and jumps of an edge lie among the points of its two patches' first rows.
+            let mut numbers: Vec<u32> = network
+                .edge_equations(edge)
+                .iter()
+                .flat_map(|e| e.terms.iter().map(|t| t.0))
+                .collect();
+            if smoothing.jump > 0.0 {
+                for row in jump_rows(network, edge) {
+                    numbers.extend(row.iter().map(|t| t.0));
+                }
+            }
+            numbers.sort_unstable();
+            numbers.dedup();
+            couple(&mut numbers);
+        }
+        pairs.sort_unstable();
+        pairs.dedup();
+        let mut starts = vec![0; count + 1];
+        for (column, _) in &pairs {
+            starts[*column as usize + 1] += 1;
+        }
+        for column in 0..count {
+            starts[column + 1] += starts[column];
+        }
+        let rows: Vec<u32> = pairs.iter().map(|(_, row)| *row).collect();
+        let block = |a: u32, b: u32| {
+            let (column, row) = (a.min(b) as usize, a.max(b));
+            let range = &rows[starts[column]..starts[column + 1]];
+            starts[column] + range.binary_search(&row).unwrap_or(0)
+        };
+        let mut energy = vec![0.0; rows.len()];
+        let mut penalty = vec![0.0; rows.len()];
+        let form: PatchForm = std::array::from_fn(|a| {
+            std::array::from_fn(|b| {
+                smoothing.third * THIRD[a][b] + smoothing.thin_plate * THIN_PLATE[a][b]
+            })
+        });
+        let mut patch_blocks = Vec::with_capacity(network.numbers.len());
+        for numbers in &network.numbers {
+            let mut blocks = [0; PAIRS];
+            let mut slot = 0;
+            for a in 0..CONTROL_POINTS {
+                for b in 0..=a {
+                    let place = block(numbers[a], numbers[b]);
+                    blocks[slot] = place as u32;
+                    energy[place] += form[a][b];
+                    slot += 1;
+                }
+            }
+            patch_blocks.push(blocks);
+        }
+        let mut square = |target: &mut Vec<f64>, terms: &[(u32, f64)], weight: f64| {
+            for (place, (a, wa)) in terms.iter().enumerate() {
+                for (b, wb) in &terms[..=place] {
+                    target[block(*a, *b)] += weight * wa * wb;
+                }
+            }
+        };
+        for equation in &equations {
+            square(&mut penalty, &equation.terms, 1.0);
+        }
+        if smoothing.jump > 0.0 {
+            for row in &jumps {
+                square(&mut energy, row, smoothing.jump);
+            }
+        }
+        let (columns, indices) = expand(count, &starts, &rows);
+        let pattern = SymbolicSparseColMat::new_checked(
+            3 * count,
+            3 * count,
+            columns.clone(),
+            None,
+            indices.clone(),
+        );
+        let symbolic = SymbolicLlt::try_new(pattern.as_ref(), faer::Side::Lower)
+            .map_err(|e| SystemError::Factor(format!("{e:?}")))?;
+        Ok(Self {
+            count,
+            starts,
+            rows,
+            patch_blocks,
+            energy,
+            penalty,
+            equations,
+            columns,
+            indices,
+            symbolic,
+        })
+    }
+
+    /// Minimises the data's squares plus `smoothing` times the energy, `tether` (relative to the mean
+    /// diagonal) times the squared distance to `previous`, under the G1 equations.
+    ///
+    /// # Errors
+    /// When the factorisation fails or the result is not finite.
+    pub fn solve(
+        &self,
+        sums: &[PatchSums],
+        smoothing: f64,
+        tether: f64,
+        previous: &[Vec3],
+        size: f64,
+    ) -> Result<Vec<Vec3>, SystemError> {
+        let mut values = vec![0.0; self.indices.len()];
+        let mut right = vec![Vec3::zeros(); self.count];
+        for (patch, blocks) in sums.iter().zip(&self.patch_blocks) {
+            let mut slot = 0;
+            for a in 0..CONTROL_POINTS {
+                for b in 0..=a {
+                    self.add_block(&mut values, blocks[slot] as usize, &patch.blocks[slot]);
+                    slot += 1;
+                }
+            }
+        }
+        // The right-hand side is summed over patches through the same numbering.
+        for (patch, blocks) in sums.iter().zip(&self.patch_blocks) {
+            for a in 0..CONTROL_POINTS {
+                let diagonal = blocks[a * (a + 1) / 2 + a] as usize;
+                right[self.rows[diagonal] as usize] += patch.right[a];
+            }
+        }
+        for (block, energy) in self.energy.iter().enumerate() {
+            self.add_scalar(&mut values, block, smoothing * energy);
+        }
+        let mut mean = 0.0;
+        for column in 0..self.count {
+            for k in 0..3 {
+                mean += values[self.columns[3 * column + k]];
+            }
+        }
+        mean /= (3 * self.count).max(1) as f64;
+        if !(mean > 0.0 && mean.is_finite()) {
+            return Err(SystemError::NotFinite);
+        }
+        let hold = tether * mean;
+        for column in 0..self.count {
+            self.add_scalar(&mut values, self.starts[column], hold);
+            right[column] += previous[column] * hold;
+        }
+        let rho = PENALTY * mean;
+        for (block, penalty) in self.penalty.iter().enumerate() {
+            self.add_scalar(&mut values, block, rho * penalty);
+        }
+        let pattern = SymbolicSparseColMat::new_checked(
+            3 * self.count,
+            3 * self.count,
+            self.columns.clone(),
+            None,
+            self.indices.clone(),
+        );
+        let matrix = SparseColMatRef::new(pattern.as_ref(), &values);
+        let factor = Llt::try_new_with_symbolic(self.symbolic.clone(), matrix, faer::Side::Lower)
+            .map_err(|e| SystemError::Factor(format!("{e:?}")))?;
+        let mut multipliers = vec![Vec3::zeros(); self.equations.len()];
+        let mut points = vec![Vec3::zeros(); self.count];
+        let mut last = f64::INFINITY;
+        for _ in 0..MULTIPLIER_STEPS {
+            let mut load = right.clone();
+            for (equation, multiplier) in self.equations.iter().zip(&multipliers) {
+                for (number, weight) in &equation.terms {
+                    load[*number as usize] -= multiplier * *weight;
+                }
+            }
+            let mut vector = Mat::from_fn(3 * self.count, 1, |row, _| load[row / 3][row % 3]);
+            factor.solve_in_place(vector.as_mut());
+            let next: Vec<Vec3> = (0..self.count)
+                .map(|n| Vec3::new(vector[(3 * n, 0)], vector[(3 * n + 1, 0)], vector[(3 * n + 2, 0)]))
+                .collect();
+            if !next.iter().all(|p| p.iter().all(|x| x.is_finite())) {
+                return Err(SystemError::NotFinite);
+            }
+            points = next;
+            let mut worst: f64 = 0.0;
+            for (equation, multiplier) in self.equations.iter().zip(&mut multipliers) {
+                let residual: Vec3 = equation
+                    .terms
+                    .iter()
+                    .map(|(number, weight)| points[*number as usize] * *weight)
+                    .sum();
+                worst = worst.max(residual.norm());
+                *multiplier += residual * rho;
+            }
+            if worst <= RESIDUAL * size || (worst <= 1e-10 * size && worst > 0.5 * last) {
+                break;
+            }
+            last = worst;
+        }
+        Ok(points)
+    }
+
+    /// Adds a symmetric 3 x 3 block (xx, xy, xz, yy, yz, zz).
+    fn add_block(&self, values: &mut [f64], block: usize, m: &[f64; 6]) {
+        const SLOT: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
+        let row = self.rows[block] as usize;
+        let column = self.column_of(block);
+        let place = block - self.starts[column];
+        for k in 0..3 {
+            let start = self.columns[3 * column + k];
+            if row == column {
+                for i in k..3 {
+                    values[start + i - k] += m[SLOT[i][k]];
+                }
+            } else {
+                for i in 0..3 {
+                    values[start + (3 - k) + 3 * (place - 1) + i] += m[SLOT[i][k]];
+                }
+            }
+        }
+    }
+
+    fn add_scalar(&self, values: &mut [f64], block: usize, scalar: f64) {
+        if scalar != 0.0 {
+            self.add_block(values, block, &[scalar, 0.0, 0.0, scalar, 0.0, scalar]);
+        }
+    }
+
+    fn column_of(&self, block: usize) -> usize {
+        self.starts.partition_point(|start| *start <= block) - 1
+    }
+}
+
+/// Scalar column starts and row indices of the lower triangle from the block pattern.
+fn expand(count: usize, starts: &[usize], rows: &[u32]) -> (Vec<usize>, Vec<usize>) {
+    let mut columns = Vec::with_capacity(3 * count + 1);
+    let mut indices = Vec::with_capacity(9 * rows.len());
+    columns.push(0);
+    for column in 0..count {
+        for k in 0..3 {
+            for row in &rows[starts[column]..starts[column + 1]] {
+                let row = *row as usize;
+                let first = if row == column { k } else { 0 };
+                indices.extend((first..3).map(|i| 3 * row + i));
+            }
+            columns.push(indices.len());
+        }
+    }
+    (columns, indices)
+}
