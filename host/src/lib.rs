@@ -11,6 +11,7 @@ pub mod link;
 pub mod mesh;
 pub mod ply;
 pub mod report;
+pub mod reconstruct;
 pub mod run;
 pub mod simulate;
 pub mod spline;

@@ -24,7 +24,9 @@ pub const PAIRS: usize = CONTROL_POINTS * (CONTROL_POINTS + 1) / 2;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SystemError {
     /// The symbolic or numeric factorisation failed.
-    #[error("the equations of the fit could not be factored ({0}); use a coarser tolerance or fewer patches")]
+    #[error(
+        "the equations of the fit could not be factored ({0}); use a coarser tolerance or fewer patches"
+    )]
     Factor(String),
     /// The solution is not finite.
     #[error("the fit has no finite solution; check the input for coinciding or far-off points")]
@@ -91,6 +93,8 @@ pub struct System {
     /// Block columns: rows (>= column) of column c stand in rows[starts[c] .. starts[c + 1]], the diagonal first.
     starts: Vec<usize>,
     rows: Vec<u32>,
+    /// Column of each block.
+    block_columns: Vec<u32>,
     /// Block of each pair of each patch.
     patch_blocks: Vec<[u32; PAIRS]>,
     /// Scalar part (times the unit matrix) of the smoothing and of the G1 equations per block.
@@ -160,6 +164,7 @@ impl System {
             starts[column + 1] += starts[column];
         }
         let rows: Vec<u32> = pairs.iter().map(|(_, row)| *row).collect();
+        let block_columns: Vec<u32> = pairs.iter().map(|(column, _)| *column).collect();
         let block = |a: u32, b: u32| {
             let (column, row) = (a.min(b) as usize, a.max(b));
             let range = &rows[starts[column]..starts[column + 1]];
@@ -186,7 +191,7 @@ impl System {
             }
             patch_blocks.push(blocks);
         }
-        let mut square = |target: &mut Vec<f64>, terms: &[(u32, f64)], weight: f64| {
+        let square = |target: &mut Vec<f64>, terms: &[(u32, f64)], weight: f64| {
             for (place, (a, wa)) in terms.iter().enumerate() {
                 for (b, wb) in &terms[..=place] {
                     target[block(*a, *b)] += weight * wa * wb;
@@ -215,6 +220,7 @@ impl System {
             count,
             starts,
             rows,
+            block_columns,
             patch_blocks,
             energy,
             penalty,
@@ -241,12 +247,8 @@ impl System {
         let mut values = vec![0.0; self.indices.len()];
         let mut right = vec![Vec3::zeros(); self.count];
         for (patch, blocks) in sums.iter().zip(&self.patch_blocks) {
-            let mut slot = 0;
-            for a in 0..CONTROL_POINTS {
-                for b in 0..=a {
-                    self.add_block(&mut values, blocks[slot] as usize, &patch.blocks[slot]);
-                    slot += 1;
-                }
+            for (block, sum) in blocks.iter().zip(&patch.blocks) {
+                self.add_block(&mut values, *block as usize, sum);
             }
         }
         // The right-hand side is summed over patches through the same numbering.
@@ -301,7 +303,13 @@ impl System {
             let mut vector = Mat::from_fn(3 * self.count, 1, |row, _| load[row / 3][row % 3]);
             factor.solve_in_place(vector.as_mut());
             let next: Vec<Vec3> = (0..self.count)
-                .map(|n| Vec3::new(vector[(3 * n, 0)], vector[(3 * n + 1, 0)], vector[(3 * n + 2, 0)]))
+                .map(|n| {
+                    Vec3::new(
+                        vector[(3 * n, 0)],
+                        vector[(3 * n + 1, 0)],
+                        vector[(3 * n + 2, 0)],
+                    )
+                })
                 .collect();
             if !next.iter().all(|p| p.iter().all(|x| x.is_finite())) {
                 return Err(SystemError::NotFinite);
@@ -329,7 +337,7 @@ impl System {
     fn add_block(&self, values: &mut [f64], block: usize, m: &[f64; 6]) {
         const SLOT: [[usize; 3]; 3] = [[0, 1, 2], [1, 3, 4], [2, 4, 5]];
         let row = self.rows[block] as usize;
-        let column = self.column_of(block);
+        let column = self.block_columns[block] as usize;
         let place = block - self.starts[column];
         for k in 0..3 {
             let start = self.columns[3 * column + k];
@@ -349,10 +357,6 @@ impl System {
         if scalar != 0.0 {
             self.add_block(values, block, &[scalar, 0.0, 0.0, scalar, 0.0, scalar]);
         }
-    }
-
-    fn column_of(&self, block: usize) -> usize {
-        self.starts.partition_point(|start| *start <= block) - 1
     }
 }
 

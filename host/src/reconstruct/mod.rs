@@ -1,0 +1,3 @@
+//! The four phases, and the driver that runs them. The only place where cloud, mesh and spline meet.
+
+pub mod fit;
