@@ -1,0 +1,3 @@
+//! Phase 4: adaptive refinement of the faces that hold a point beyond the tolerance.
+
+pub mod templates;
