@@ -3,3 +3,4 @@
 pub mod fit;
 pub mod refine;
 pub mod report;
+pub mod surfacing;
