@@ -4,6 +4,10 @@
 //! there is and starts the next round. So a tick's length does not depend on a chip's mood, and a chip that is silent, reset or broken
 //! shows as flags in a sample instead of as a hung board.
 
+pub mod ads122u04;
+pub mod amt21;
+pub mod serial;
+
 use palpus_protocol::{GaugeFlags, MAX_GAUGES};
 
 /// Joints of a finger.
