@@ -7,6 +7,7 @@
 pub mod cloud;
 pub mod export;
 pub mod hand;
+pub mod import;
 pub mod link;
 pub mod mesh;
 pub mod ply;

@@ -6,6 +6,7 @@
 //! the record (binary) and the value.
 
 use std::fmt;
+use std::sync::Arc;
 
 /// How the values after the header are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,7 +117,7 @@ pub struct Property {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Element {
     /// Name in the header: `vertex`, `face`, …
-    pub name: String,
+    pub name: Arc<str>,
     /// Records the header declares. Nothing may be allocated from it.
     pub count: u64,
     /// Columns in the order of the file.
@@ -153,7 +154,7 @@ pub enum Place {
     /// Line of a text, from 1.
     Line(usize),
     /// Record of a binary element, from 1.
-    Record(String, u64),
+    Record(Arc<str>, u64),
 }
 
 impl fmt::Display for Place {
@@ -307,7 +308,7 @@ impl Header {
                     });
                 }
                 ["element", name, count] => elements.push(Element {
-                    name: (*name).to_owned(),
+                    name: (*name).into(),
                     count: count
                         .parse()
                         .map_err(|_| wrong("`element NAME COUNT`, a whole count from 0"))?,
@@ -476,7 +477,7 @@ impl Body<'_> {
             let word = words.next().ok_or_else(|| PlyError::Columns {
                 place: place.clone(),
                 found,
-                element: element.name.clone(),
+                element: element.name.to_string(),
                 needed: found + missing,
             })?;
             found += 1;
@@ -510,7 +511,7 @@ impl Body<'_> {
         record: &mut Record,
         big_endian: bool,
     ) -> Result<Place, PlyError> {
-        let place = || Place::Record(element.name.clone(), number);
+        let place = || Place::Record(Arc::clone(&element.name), number);
         for property in &element.properties {
             record.begins.push(record.items.len());
             let (first, item) = match property.kind {
@@ -542,7 +543,7 @@ impl Body<'_> {
 
 fn truncated(element: &Element, record: u64) -> PlyError {
     PlyError::Truncated {
-        element: element.name.clone(),
+        element: element.name.to_string(),
         record,
         declared: element.count,
     }

@@ -11,7 +11,7 @@ pub(super) fn parse(file: &str, bytes: &[u8]) -> Result<Cloud, ReadError> {
         error,
     };
     let header = Header::parse(bytes).map_err(wrap)?;
-    let Some(at) = header.elements.iter().position(|e| e.name == "vertex") else {
+    let Some(at) = header.elements.iter().position(|e| *e.name == *"vertex") else {
         return Err(ReadError::NoPoints {
             file: file.to_owned(),
         });
