@@ -21,3 +21,7 @@
 #![forbid(unsafe_code)]
 
 pub mod front_end;
+pub mod queue;
+pub mod sensing;
+pub mod store;
+pub mod tare;

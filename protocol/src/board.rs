@@ -133,7 +133,7 @@ wire_struct! {
 wire_struct! {
     /// All gauges in one period, before calibration.
     pub struct RawGauges {
-        /// Sequence number of the period; that of the contact of the same period, without the modulus.
+        /// Counts the raw frames the board has made since it started, sent or dropped. A contact of the same sample has the same time.
         pub sequence: u32,
         /// Time of the sample, us since the board started.
         pub board_time_us: u64,
