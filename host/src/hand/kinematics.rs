@@ -130,12 +130,12 @@ mod tests {
 
     #[test]
     fn stretched_finger_points_through_the_centre() {
-        // Base on the ring at 240 mm, both links of 200 mm stretched towards the centre.
+        // Base on the ring at 300 mm, links of 190 and 260 mm stretched towards the centre.
         let hand = shipped();
         for (k, finger) in hand.fingers().iter().enumerate() {
             let pose = finger.tip_pose_mm(&[0.0; 3]);
             let (sin, cos) = (2.0 * PI * k as f64 / 3.0).sin_cos();
-            let expected = Vec3::new(cos, sin, 0.0) * (240.0 - 400.0);
+            let expected = Vec3::new(cos, sin, 0.0) * (300.0 - 450.0);
             assert!((pose.translation.vector - expected).norm() < 1e-9);
             let pole = pose.rotation * Vec3::z();
             assert!((pole + Vec3::new(cos, sin, 0.0)).norm() < 1e-12);
@@ -144,18 +144,18 @@ mod tests {
 
     #[test]
     fn bent_finger_by_hand() {
-        // Index at (240, 0, 0) facing -x. Yaw 90 degrees: it faces -y. Shoulder -90 degrees (about its y axis,
-        // right-handed, x turns up to +z): the upper link stands up, elbow at (240, 0, 200). Elbow +90 degrees:
-        // the fore link lies along the base's x again, so the tip is 200 mm along -y, pole along -y.
+        // Index at (300, 0, 0) facing -x. Yaw 90 degrees: it faces -y. Shoulder -90 degrees (about its y axis,
+        // right-handed, x turns up to +z): the upper link stands up, elbow at (300, 0, 190). Elbow +90 degrees:
+        // the fore link lies along the base's x again, so the tip is 260 mm along -y, pole along -y.
         let hand = shipped();
         let (_, index) = hand.finger("index").unwrap();
         let pose = index.tip_pose_mm(&[FRAC_PI_2, -FRAC_PI_2, FRAC_PI_2]);
-        assert!((pose.translation.vector - Vec3::new(240.0, -200.0, 200.0)).norm() < 1e-9);
+        assert!((pose.translation.vector - Vec3::new(300.0, -260.0, 190.0)).norm() < 1e-9);
         assert!((pose.rotation * Vec3::z() - Vec3::new(0.0, -1.0, 0.0)).norm() < 1e-12);
         // Sensor x after the plate's quarter turn about y: it was the link's -z.
         assert!((pose.rotation * Vec3::x() - Vec3::new(0.0, 0.0, -1.0)).norm() < 1e-12);
         let sensor = index.sensor_pose_mm(&[FRAC_PI_2, -FRAC_PI_2, FRAC_PI_2]);
-        assert!((sensor.translation.vector - Vec3::new(240.0, -185.0, 200.0)).norm() < 1e-9);
+        assert!((sensor.translation.vector - Vec3::new(300.0, -245.0, 190.0)).norm() < 1e-9);
     }
 
     #[test]
@@ -163,7 +163,7 @@ mod tests {
         let hand = shipped();
         let (_, index) = hand.finger("index").unwrap();
         let contact = index.world_contact(&[0.0; 3], &Vec3::new(0.0, 0.0, 20.0), &Vec3::z());
-        assert!((contact.position_mm - Vec3::new(-180.0, 0.0, 0.0)).norm() < 1e-9);
+        assert!((contact.position_mm - Vec3::new(-170.0, 0.0, 0.0)).norm() < 1e-9);
         assert!((contact.normal - Vec3::x()).norm() < 1e-12);
     }
 

@@ -32,7 +32,7 @@ impl Solid {
             Self::Mug => ([-50.0, -50.0, -65.0], [116.0, 50.0, 65.0]),
             Self::Bowl => ([-85.0, -85.0, -48.0], [85.0, 85.0, 32.0]),
             Self::Bean => ([-84.0, -47.0, -30.0], [84.0, 47.0, 30.0]),
-            Self::Trilobe => ([-83.0, -83.0, -38.0], [83.0, 83.0, 38.0]),
+            Self::Trilobe => ([-82.0, -82.0, -42.0], [82.0, 82.0, 42.0]),
         };
         let spare = 4.0;
         (low.map(|v| v - spare), high.map(|v| v + spare))
@@ -56,12 +56,12 @@ impl Solid {
             Self::Bowl => bowl(x.hypot(y), z),
             Self::Bean => bent_capsule(x, y + 45.0, z, 60.0, PI / 3.0, 30.0),
             Self::Trilobe => {
-                // Three balls at 120 degrees, blended by a soft minimum of 9 mm.
+                // Three balls at 120 degrees, blended by a soft minimum of 15 mm.
                 let balls = [0.0, 1.0, 2.0].map(|k: f64| {
                     let (sin, cos) = (2.0 * PI * k / 3.0).sin_cos();
-                    (x - 45.0 * cos).hypot(y - 45.0 * sin).hypot(z) - 38.0
+                    (x - 40.0 * cos).hypot(y - 40.0 * sin).hypot(z) - 34.0
                 });
-                soft_minimum(balls, 9.0)
+                soft_minimum(balls, 15.0)
             }
         }
     }
