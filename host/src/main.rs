@@ -17,11 +17,16 @@ struct Palpus {
 
 /// One variant per subcommand; each lives in `cli/<name>.rs` as `Args` and `run(&Common, Args)`.
 #[derive(clap::Subcommand)]
-enum Command {}
+enum Command {
+    /// Move a simulated hand over an object.
+    Simulate(cli::simulate::Args),
+}
 
 fn main() -> ExitCode {
     let palpus = Palpus::parse();
-    let outcome: Result<cli::Exit, cli::Failure> = match palpus.command {};
+    let outcome: Result<cli::Exit, cli::Failure> = match palpus.command {
+        Command::Simulate(args) => cli::simulate::run(&palpus.common, args),
+    };
     match outcome {
         Ok(exit) => exit.into(),
         Err(failure) => {

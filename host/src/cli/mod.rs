@@ -1,5 +1,7 @@
 //! One file per subcommand: parse, call the library, print. Nothing else lives here.
 
+pub mod simulate;
+
 use std::process::ExitCode;
 
 /// What every subcommand shares.
