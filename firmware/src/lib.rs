@@ -20,8 +20,15 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod board;
+mod commands;
+pub mod event;
 pub mod front_end;
 pub mod queue;
+mod sampling;
 pub mod sensing;
 pub mod store;
 pub mod tare;
+
+pub use board::{Board, BoardConfig, BoardError};
+pub use event::Event;

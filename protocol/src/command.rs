@@ -249,6 +249,7 @@ wire_struct! {
 wire_enum! {
     /// Why a request was not done, and what to do instead.
     #[derive(Copy, Eq)]
+    #[cfg_attr(feature = "defmt", derive(defmt::Format))]
     pub enum Refusal {
         /// The tip seems to be in contact: lift it, or force.
         InContact,

@@ -53,6 +53,18 @@ pub struct ContactSolution {
     pub excess_moment_n_mm: f32,
 }
 
+impl ContactSolution {
+    /// What stands in a contact that could not be solved: zeros, and a normal along the finger.
+    pub const NONE: Self = Self {
+        point_mm: Vec3::new(0.0, 0.0, 0.0),
+        normal: Vec3::new(0.0, 0.0, 1.0),
+        normal_force_n: 0.0,
+        tangential_force_n: 0.0,
+        spin_n_mm: 0.0,
+        excess_moment_n_mm: 0.0,
+    };
+}
+
 impl Tip {
     /// Prepares a shape; `None` unless the semi-axes are positive and all numbers finite.
     pub fn new(geometry: &TipGeometry) -> Option<Self> {

@@ -1,6 +1,7 @@
 //! Force and moment from tared gauge counts.
 
 use super::Vec3;
+use super::uncertainty::WrenchNoise;
 use palpus_protocol::{Calibration, CalibrationError, MAX_GAUGES, WRENCH_AXES};
 
 /// A force and a moment about some origin.
@@ -77,6 +78,27 @@ impl GaugeMatrix {
     }
 }
 
+impl GaugeMatrix {
+    /// For each gauge the counts that alone would make the wrench's noise: the smaller of force's and moment's share; at most 1e6, which is also
+    /// the answer for a gauge that moves nothing.
+    pub fn counts_of(&self, noise: &WrenchNoise) -> [f32; MAX_GAUGES] {
+        let mut counts = [0.0; MAX_GAUGES];
+        for (gauge, count) in counts.iter_mut().enumerate() {
+            let length = |rows: core::ops::Range<usize>| {
+                libm::sqrtf(
+                    rows.map(|row| self.rows[row][gauge] * self.rows[row][gauge])
+                        .sum::<f32>(),
+                )
+            };
+            // Division by zero is infinite, and `min` keeps the finite one.
+            *count = (noise.force_n / length(0..3))
+                .min(noise.moment_n_mm / length(3..6))
+                .min(1e6);
+        }
+        counts
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -117,6 +139,18 @@ mod tests {
             moment_n_mm: centre.cross(&force),
         };
         assert!(wrench.about(&centre).moment_n_mm.norm() < 1e-5);
+    }
+
+    #[test]
+    fn counts_of_noise_take_the_more_sensitive_axis() {
+        let mut entries = [0.0; 12];
+        entries[0] = 1e-3;
+        entries[6] = 0.1;
+        let counts = matrix(2, &entries).counts_of(&WrenchNoise {
+            force_n: 0.01,
+            moment_n_mm: 0.3,
+        });
+        assert!((counts[0] - 3.0).abs() < 1e-5 && counts[1] == 1e6);
     }
 
     #[test]
