@@ -22,6 +22,9 @@ pub struct Report {
     /// Angles between measured and surface normals.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub normals: Option<NormalFigures>,
+    /// Decisions taken, limits met, parts without support: what a reader should know besides the figures.
+    #[serde(default)]
+    pub notes: Vec<String>,
     /// Seconds from the first point read to the last figure.
     pub seconds: f64,
     /// Threads that were allowed.
@@ -44,8 +47,11 @@ pub struct InputFigures {
     pub rejected_rows: Vec<String>,
     /// Diagonal of the points' bounding box.
     pub bbox_diagonal: f64,
-    /// Standard deviation of the noise found in the data.
+    /// Standard deviation of the positions along the normal, found in the data.
     pub noise_sigma: f64,
+    /// Standard deviation of the normals per axis, found in the data.
+    #[serde(default)]
+    pub noise_normal_degrees: f64,
 }
 
 /// Most rejected rows that the report names one by one.
@@ -69,6 +75,7 @@ impl InputFigures {
                 .collect(),
             bbox_diagonal: cloud.diagonal(),
             noise_sigma: 0.0,
+            noise_normal_degrees: 0.0,
         }
     }
 }
@@ -115,6 +122,9 @@ pub struct SurfaceFigures {
     pub degree: usize,
     /// Corner points.
     pub vertices: usize,
+    /// Free numbers of the surface: three coordinates of three values per vertex and two per smooth edge.
+    #[serde(default)]
+    pub degrees_of_freedom: usize,
     /// Vertices - edges + patches.
     pub euler: i64,
     /// Handles, summed over the components.
@@ -141,6 +151,7 @@ impl SurfaceFigures {
             patches: topology.faces,
             degree: crate::spline::Surface::DEGREE,
             vertices: topology.vertices,
+            degrees_of_freedom: 9 * topology.vertices + 6 * topology.edges,
             euler: topology.euler,
             genus: topology.genus,
             components: topology.components,
@@ -170,8 +181,14 @@ pub struct ErrorFigures {
     pub rms: f64,
     /// Largest distance.
     pub max: f64,
+    /// Points of these figures beyond the tolerance.
+    #[serde(default)]
+    pub beyond: usize,
     /// Points left out of these figures as outliers.
     pub outliers: usize,
+    /// Numbers of those points among the usable rows, from 0.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub outlier_points: Vec<usize>,
 }
 
 /// Angles between measured and surface normals.

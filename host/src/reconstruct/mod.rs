@@ -2,5 +2,4 @@
 
 pub mod fit;
 pub mod refine;
-pub mod report;
 pub mod surfacing;

@@ -2,7 +2,7 @@
 
 use super::fit::foot::Foot;
 use super::fit::system::SystemError;
-use super::fit::{Datum, Fit, FitOptions, fit};
+use super::fit::{Datum, Fit, FitOptions, Kind, fit};
 use super::refine::face_fits;
 use super::refine::templates::{Base, flip_to_even_valence, split_faces};
 use crate::Vec3;
@@ -166,7 +166,7 @@ pub fn distances<'a>(
 ) -> impl Iterator<Item = f64> + 'a {
     data.iter()
         .zip(feet)
-        .filter(|(datum, _)| datum.measured)
+        .filter(|(datum, _)| datum.kind == Kind::Measured)
         .filter_map(|(datum, foot)| Some((datum.position - foot.as_ref()?.point).norm()))
 }
 
@@ -177,7 +177,7 @@ pub fn normal_angles<'a>(
 ) -> impl Iterator<Item = f64> + 'a {
     data.iter()
         .zip(feet)
-        .filter(|(datum, _)| datum.measured)
+        .filter(|(datum, _)| datum.kind == Kind::Measured)
         .filter_map(|(datum, foot)| {
             let normal: Vec3 = foot.as_ref()?.normal()?;
             Some(crate::spline::angle_degrees(normal, datum.normal))

@@ -6,8 +6,9 @@
 //! by Gauss-Newton steps that may cross smooth edges into the neighbour patch (never a crease: which side
 //! of a crease a contact belongs to is what its normal says).
 
+use super::{Datum, Kind};
 use crate::Vec3;
-use crate::spline::bernstein::{CONTROL_POINTS, FIRST, values};
+use crate::spline::bernstein::{CONTROL_POINTS, FIRST, edge_index, values};
 use crate::spline::{combine, network::Network};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
@@ -23,6 +24,8 @@ pub struct Foot {
     pub point: Vec3,
     /// Derivatives by u and v there.
     pub tangents: [Vec3; 2],
+    /// Unit direction of the line for the foot point of a datum that belongs on a border or crease.
+    pub along: Option<Vec3>,
 }
 
 impl Foot {
@@ -108,8 +111,78 @@ impl<'a> Finder<'a> {
     }
 
     /// Foot points of many, in order.
-    pub fn find_all(&self, data: &[(Vec3, Vec3)]) -> Vec<Option<Foot>> {
-        data.par_iter().map(|(p, n)| self.find(*p, *n)).collect()
+    pub fn find_all(&self, data: &[Datum]) -> Vec<Option<Foot>> {
+        data.par_iter()
+            .map(|d| match d.kind {
+                Kind::Line => self.find_on_line(d.position),
+                Kind::Measured | Kind::Field => self.find(d.position, d.normal),
+            })
+            .collect()
+    }
+
+    /// The foot point of a position on the borders and creases alone.
+    pub fn find_on_line(&self, position: Vec3) -> Option<Foot> {
+        let mut best: Option<(f64, Foot)> = None;
+        for (number, edge) in self.network.table.edges.iter().enumerate() {
+            if self.network.smooth[number] {
+                continue;
+            }
+            let side = edge.sides.iter().flatten().next()?;
+            let (face, local) = (side.face, usize::from(side.local));
+            let at = |t: f64| {
+                let mut at = [0.0; 3];
+                at[local] = 1.0 - t;
+                at[(local + 1) % 3] = t;
+                at
+            };
+            let patch = &self.patches[face as usize];
+            // Control points bound the edge: skip it if even their box is farther than the best so far.
+            if let Some((distance, _)) = best {
+                let (mut low, mut high) = (
+                    patch[edge_index(local, 0, 0)],
+                    patch[edge_index(local, 0, 0)],
+                );
+                for along in 1..=5 {
+                    let p = patch[edge_index(local, 0, along)];
+                    low = low.inf(&p);
+                    high = high.sup(&p);
+                }
+                if (position.sup(&low).inf(&high) - position).norm_squared() > distance {
+                    continue;
+                }
+            }
+            let mut t = 0.0;
+            let mut nearest = f64::INFINITY;
+            for step in 0..=2 * STEPS {
+                let s = step as f64 / (2 * STEPS) as f64;
+                let d = (position - evaluate(patch, face, at(s)).point).norm_squared();
+                if d < nearest {
+                    (nearest, t) = (d, s);
+                }
+            }
+            let tangent = |foot: &Foot| {
+                let [du, dv] = foot.tangents;
+                let of = |corner: usize| [Vec3::zeros(), du, dv][corner];
+                of((local + 1) % 3) - of(local)
+            };
+            let mut foot = evaluate(patch, face, at(t));
+            for _ in 0..ITERATIONS / 2 {
+                let along = tangent(&foot);
+                let step = along.dot(&(position - foot.point)) / along.norm_squared().max(1e-300);
+                let next = (t + step).clamp(0.0, 1.0);
+                if (next - t).abs() < 1e-12 {
+                    break;
+                }
+                t = next;
+                foot = evaluate(patch, face, at(t));
+            }
+            foot.along = tangent(&foot).try_normalize(0.0);
+            let distance = (position - foot.point).norm_squared();
+            if best.as_ref().is_none_or(|(d, _)| distance < *d) {
+                best = Some((distance, foot));
+            }
+        }
+        best.map(|(_, foot)| foot)
     }
 
     /// Gauss-Newton from a start, across smooth edges.
@@ -225,5 +298,6 @@ fn evaluate(patch: &[Vec3; CONTROL_POINTS], face: u32, at: [f64; 3]) -> Foot {
         barycentric: at,
         point: combine(patch, &values::<CONTROL_POINTS>(5, at)),
         tangents: [0, 1].map(|d| combine(patch, &FIRST[d].weights(at))),
+        along: None,
     }
 }

@@ -41,8 +41,20 @@ pub struct Datum {
     /// Weight of the squared sine of the angle to its normal relative to the squared distance (length^2):
     /// (sigma of the position / sigma of the normal)^2.
     pub normal_weight: f64,
-    /// Whether it is measured (else sampled from the extracted surface).
-    pub measured: bool,
+    /// Where it comes from.
+    pub kind: Kind,
+}
+
+/// Where a datum comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A measured contact.
+    Measured,
+    /// A sample of the extracted surface.
+    Field,
+    /// A point of a line that the network's border or creases have to follow: its foot point is sought on
+    /// those edges alone, and it holds them from both sides.
+    Line,
 }
 
 /// How the measured normal enters.
@@ -106,8 +118,7 @@ pub fn fit(
         (low.inf(&d.position), high.sup(&d.position))
     });
     let size = (high - low).norm().max(1e-300);
-    let pairs: Vec<(Vec3, Vec3)> = data.iter().map(|d| (d.position, d.normal)).collect();
-    let search = |points: &[Vec3]| Finder::new(network, points, 0.15 * size).find_all(&pairs);
+    let search = |points: &[Vec3]| Finder::new(network, points, 0.15 * size).find_all(data);
     let mut feet = search(&points);
     let mut history = Vec::new();
     let mut tether = TETHER;
@@ -149,17 +160,21 @@ fn weigh(data: &[Datum], feet: &[Option<Foot>], options: &FitOptions, first: boo
         .zip(feet)
         .map(|(datum, foot)| {
             let Some(foot) = foot else { return 0.0 };
+            if datum.kind == Kind::Line {
+                return datum.weight;
+            }
             let agreement = foot.normal().map_or(1.0, |n| n.dot(&datum.normal));
             if agreement < NORMAL_GATE && !first {
                 return 0.0;
             }
             let distance = (datum.position - foot.point).norm();
-            let robust = if datum.measured && !first && distance > options.outlier_scale {
-                // Beyond the scale the pull stays bounded (Geman-McClure's tail).
-                (options.outlier_scale / distance).powi(4)
-            } else {
-                1.0
-            };
+            let robust =
+                if datum.kind == Kind::Measured && !first && distance > options.outlier_scale {
+                    // Beyond the scale the pull stays bounded (Geman-McClure's tail).
+                    (options.outlier_scale / distance).powi(4)
+                } else {
+                    1.0
+                };
             datum.weight * robust
         })
         .collect()
@@ -222,8 +237,12 @@ fn add_datum(
     options: &FitOptions,
     corners: &[Vec3; 3],
 ) {
-    let along = normal * normal.transpose();
-    let metric = (along * (1.0 - TANGENTIAL) + Matrix3::identity() * TANGENTIAL) * weight;
+    // A point of a line may slide along the line only, any other within the tangent plane.
+    let free = match foot.along {
+        Some(along) => along * along.transpose(),
+        None => Matrix3::identity() - normal * normal.transpose(),
+    };
+    let metric = (Matrix3::identity() - free * (1.0 - TANGENTIAL)) * weight;
     let place = values::<CONTROL_POINTS>(5, foot.barycentric);
     sums.add(&place, &metric, &datum.position);
     let strength = weight * datum.normal_weight;
@@ -290,7 +309,11 @@ fn misfit(data: &[Datum], feet: &[Option<Foot>], weights: &[f64]) -> f64 {
 
 fn measured_rms(data: &[Datum], feet: &[Option<Foot>]) -> f64 {
     let (mut sum, mut count) = (0.0, 0usize);
-    for (datum, foot) in data.iter().zip(feet).filter(|(d, _)| d.measured) {
+    for (datum, foot) in data
+        .iter()
+        .zip(feet)
+        .filter(|(d, _)| d.kind == Kind::Measured)
+    {
         if let Some(foot) = foot {
             sum += (datum.position - foot.point).norm_squared();
             count += 1;
@@ -346,7 +369,7 @@ mod tests {
                     normal: v.normalize(),
                     weight: 1.0,
                     normal_weight: 1e-2,
-                    measured: true,
+                    kind: Kind::Measured,
                 })
                 .collect();
         for normal_term in [NormalTerm::ParameterFree, NormalTerm::FaceFrame] {

@@ -7,8 +7,8 @@
 
 pub mod templates;
 
-use super::fit::Datum;
 use super::fit::foot::Foot;
+use super::fit::{Datum, Kind};
 
 /// What the data of one face say about its fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -27,7 +27,7 @@ pub struct FaceFit {
 pub fn face_fits(face_count: usize, data: &[Datum], feet: &[Option<Foot>]) -> Vec<FaceFit> {
     let mut fits = vec![FaceFit::default(); face_count];
     for (datum, foot) in data.iter().zip(feet) {
-        let (true, Some(foot)) = (datum.measured, foot) else {
+        let (Kind::Measured, Some(foot)) = (datum.kind, foot) else {
             continue;
         };
         let residual = datum.position - foot.point;
