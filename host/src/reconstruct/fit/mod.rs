@@ -25,7 +25,9 @@ use system::{PatchSums, Smoothing, System, SystemError};
 /// creep along the surface (sphere, 80 patches); above 0.1 the fit converges as slowly as point distance.
 const TANGENTIAL: f64 = 0.02;
 /// Tether of control points to the previous round, relative to the mean diagonal: bounds what no datum holds.
-const TETHER: f64 = 1e-9;
+const TETHER: f64 = 1e-8;
+/// Beyond this tether a system that cannot be factored is given up.
+const MAX_TETHER: f64 = 1e-2;
 /// A foot point whose normal is more than 78 degrees off the measured one is not believed.
 const NORMAL_GATE: f64 = 0.2;
 
@@ -134,7 +136,13 @@ pub fn fit(
             options,
             flat && round == 0,
         );
-        let next = system.solve(&sums, options.smoothing, tether, &points, size)?;
+        let next = loop {
+            match system.solve(&sums, options.smoothing, tether, &points, size) {
+                // Patches that nothing holds: hold them to where they are.
+                Err(SystemError::Factor(_)) if tether < MAX_TETHER => tether *= 100.0,
+                solved => break solved?,
+            }
+        };
         let next_feet = search(&next);
         let error = misfit(data, &next_feet, &weights);
         if error <= best * 1.05 {

@@ -14,7 +14,7 @@ use crate::spline::network::{Equation, Network};
 use faer::linalg::solvers::Solve;
 use faer::prelude::*;
 use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
-use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
+use faer::sparse::{SparseColMat, SparseColMatRef, SymbolicSparseColMat, Triplet};
 use nalgebra::Matrix3;
 
 /// Entries of the lower triangle of a patch's 21 x 21 form.
@@ -35,11 +35,16 @@ pub enum SystemError {
 
 /// Penalty of the G1 equations relative to the mean diagonal of the energy: large enough to converge in a
 /// few steps, small enough that rounding leaves the soft directions alone.
-const PENALTY: f64 = 1e5;
-/// Most steps of the multipliers.
-const MULTIPLIER_STEPS: usize = 25;
-/// Largest residual of an equation, relative to the size of the surface: about 1e-10 degrees.
-const RESIDUAL: f64 = 2e-14;
+const PENALTY: f64 = 1e4;
+/// Most steps of the multipliers, and the residual (relative to the size of the surface) at which they are
+/// good enough for the projection to end the work.
+const MULTIPLIER_STEPS: usize = 6;
+const ROUGH_RESIDUAL: f64 = 1e-8;
+/// Steps of the projection onto the equations, and the residual at which it ends: about 1e-12 degrees.
+const PROJECTION_STEPS: usize = 12;
+const RESIDUAL: f64 = 1e-16;
+/// Added to the diagonal of A A^T, relative to its mean, so that redundant equations can be factored.
+const REDUNDANCY: f64 = 1e-11;
 
 /// The sums that data contribute to one patch: lower triangle of 3 x 3 blocks, and the right-hand side.
 #[derive(Clone)]
@@ -102,8 +107,10 @@ pub struct System {
     penalty: Vec<f64>,
     equations: Vec<Equation>,
     columns: Vec<usize>,
-    indices: Vec<usize>,
+    pattern: SymbolicSparseColMat<usize>,
     symbolic: SymbolicLlt<usize>,
+    /// Factor of A A^T.
+    gram: Llt<usize, f64>,
 }
 
 /// What holds the network where data are few, relative to each other.
@@ -207,13 +214,8 @@ impl System {
             }
         }
         let (columns, indices) = expand(count, &starts, &rows);
-        let pattern = SymbolicSparseColMat::new_checked(
-            3 * count,
-            3 * count,
-            columns.clone(),
-            None,
-            indices.clone(),
-        );
+        let pattern =
+            SymbolicSparseColMat::new_checked(3 * count, 3 * count, columns.clone(), None, indices);
         let symbolic = SymbolicLlt::try_new(pattern.as_ref(), faer::Side::Lower)
             .map_err(|e| SystemError::Factor(format!("{e:?}")))?;
         Ok(Self {
@@ -224,9 +226,10 @@ impl System {
             patch_blocks,
             energy,
             penalty,
+            gram: gram(&equations, count)?,
             equations,
             columns,
-            indices,
+            pattern,
             symbolic,
         })
     }
@@ -244,7 +247,7 @@ impl System {
         previous: &[Vec3],
         size: f64,
     ) -> Result<Vec<Vec3>, SystemError> {
-        let mut values = vec![0.0; self.indices.len()];
+        let mut values = vec![0.0; self.pattern.row_idx().len()];
         let mut right = vec![Vec3::zeros(); self.count];
         for (patch, blocks) in sums.iter().zip(&self.patch_blocks) {
             for (block, sum) in blocks.iter().zip(&patch.blocks) {
@@ -280,19 +283,11 @@ impl System {
         for (block, penalty) in self.penalty.iter().enumerate() {
             self.add_scalar(&mut values, block, rho * penalty);
         }
-        let pattern = SymbolicSparseColMat::new_checked(
-            3 * self.count,
-            3 * self.count,
-            self.columns.clone(),
-            None,
-            self.indices.clone(),
-        );
-        let matrix = SparseColMatRef::new(pattern.as_ref(), &values);
+        let matrix = SparseColMatRef::new(self.pattern.as_ref(), &values);
         let factor = Llt::try_new_with_symbolic(self.symbolic.clone(), matrix, faer::Side::Lower)
             .map_err(|e| SystemError::Factor(format!("{e:?}")))?;
         let mut multipliers = vec![Vec3::zeros(); self.equations.len()];
         let mut points = vec![Vec3::zeros(); self.count];
-        let mut last = f64::INFINITY;
         for _ in 0..MULTIPLIER_STEPS {
             let mut load = right.clone();
             for (equation, multiplier) in self.equations.iter().zip(&multipliers) {
@@ -302,35 +297,58 @@ impl System {
             }
             let mut vector = Mat::from_fn(3 * self.count, 1, |row, _| load[row / 3][row % 3]);
             factor.solve_in_place(vector.as_mut());
-            let next: Vec<Vec3> = (0..self.count)
-                .map(|n| {
-                    Vec3::new(
-                        vector[(3 * n, 0)],
-                        vector[(3 * n + 1, 0)],
-                        vector[(3 * n + 2, 0)],
-                    )
-                })
+            points = (0..self.count)
+                .map(|n| Vec3::from_fn(|k, _| vector[(3 * n + k, 0)]))
                 .collect();
-            if !next.iter().all(|p| p.iter().all(|x| x.is_finite())) {
+            if !points.iter().all(|p| p.iter().all(|x| x.is_finite())) {
                 return Err(SystemError::NotFinite);
             }
-            points = next;
-            let mut worst: f64 = 0.0;
-            for (equation, multiplier) in self.equations.iter().zip(&mut multipliers) {
-                let residual: Vec3 = equation
+            let residuals = self.residuals(&points);
+            for (residual, multiplier) in residuals.iter().zip(&mut multipliers) {
+                *multiplier += residual * rho;
+            }
+            if largest(&residuals) <= ROUGH_RESIDUAL * size {
+                break;
+            }
+        }
+        self.project(&mut points, size);
+        Ok(points)
+    }
+
+    /// Residual of each G1 equation.
+    fn residuals(&self, points: &[Vec3]) -> Vec<Vec3> {
+        self.equations
+            .iter()
+            .map(|equation| {
+                equation
                     .terms
                     .iter()
                     .map(|(number, weight)| points[*number as usize] * *weight)
-                    .sum();
-                worst = worst.max(residual.norm());
-                *multiplier += residual * rho;
-            }
-            if worst <= RESIDUAL * size || (worst <= 1e-10 * size && worst > 0.5 * last) {
+                    .sum()
+            })
+            .collect()
+    }
+
+    /// Moves the points the least way onto the space of the G1 equations: x -= A^T (A A^T + d)^-1 A x,
+    /// repeated because of the small d that bridges redundant equations.
+    fn project(&self, points: &mut [Vec3], size: f64) {
+        let mut last = f64::INFINITY;
+        for _ in 0..PROJECTION_STEPS {
+            let residuals = self.residuals(points);
+            let worst = largest(&residuals);
+            if worst <= RESIDUAL * size || worst >= last {
                 break;
             }
             last = worst;
+            let mut vector = Mat::from_fn(residuals.len(), 3, |row, k| residuals[row][k]);
+            self.gram.solve_in_place(vector.as_mut());
+            for (row, equation) in self.equations.iter().enumerate() {
+                let pull = Vec3::from_fn(|k, _| vector[(row, k)]);
+                for (number, weight) in &equation.terms {
+                    points[*number as usize] -= pull * *weight;
+                }
+            }
         }
-        Ok(points)
     }
 
     /// Adds a symmetric 3 x 3 block (xx, xy, xz, yy, yz, zz).
@@ -358,6 +376,38 @@ impl System {
             self.add_block(values, block, &[scalar, 0.0, 0.0, scalar, 0.0, scalar]);
         }
     }
+}
+
+/// Factors A A^T (with a little on the diagonal for redundant equations).
+fn gram(equations: &[Equation], count: usize) -> Result<Llt<usize, f64>, SystemError> {
+    let mut by_point: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count];
+    for (row, equation) in equations.iter().enumerate() {
+        for (number, weight) in &equation.terms {
+            by_point[*number as usize].push((row, *weight));
+        }
+    }
+    let mut triplets = Vec::new();
+    let mut trace = 0.0;
+    for terms in &by_point {
+        for (place, (a, wa)) in terms.iter().enumerate() {
+            trace += wa * wa;
+            for (b, wb) in &terms[..=place] {
+                triplets.push(Triplet::new(*a.max(b), *a.min(b), wa * wb));
+            }
+        }
+    }
+    let little = REDUNDANCY * trace / equations.len().max(1) as f64;
+    triplets.extend((0..equations.len()).map(|row| Triplet::new(row, row, little)));
+    let matrix = SparseColMat::try_new_from_triplets(equations.len(), equations.len(), &triplets)
+        .map_err(|e| SystemError::Factor(format!("{e:?}")))?;
+    let symbolic = SymbolicLlt::try_new(matrix.symbolic(), faer::Side::Lower)
+        .map_err(|e| SystemError::Factor(format!("{e:?}")))?;
+    Llt::try_new_with_symbolic(symbolic, matrix.as_ref(), faer::Side::Lower)
+        .map_err(|e| SystemError::Factor(format!("{e:?}")))
+}
+
+fn largest(residuals: &[Vec3]) -> f64 {
+    residuals.iter().map(Vec3::norm).fold(0.0, f64::max)
 }
 
 /// Scalar column starts and row indices of the lower triangle from the block pattern.
