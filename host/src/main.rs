@@ -20,12 +20,14 @@ struct Palpus {
 enum Command {
     /// Move a simulated hand over an object.
     Simulate(cli::simulate::Args),
+    Evaluate(cli::evaluate::Args),
 }
 
 fn main() -> ExitCode {
     let palpus = Palpus::parse();
     let outcome: Result<cli::Exit, cli::Failure> = match palpus.command {
         Command::Simulate(args) => cli::simulate::run(&palpus.common, args),
+        Command::Evaluate(args) => cli::evaluate::run(&palpus.common, args),
     };
     match outcome {
         Ok(exit) => exit.into(),

@@ -1,6 +1,7 @@
 //! One file per subcommand: parse, call the library, print. Nothing else lives here.
 
 pub mod simulate;
+pub mod evaluate;
 
 use std::process::ExitCode;
 

@@ -53,11 +53,31 @@ pub(crate) fn torus() -> Surface {
     warped(&shapes::torus(1.0, 0.4, 8, 6), |p| p * (1.0 + 0.1 * p.x))
 }
 
-/// An open, bent sheet.
+/// An open sheet, exactly the graph z = x^2 / 5 - x y / 10, so smooth to any order across patches.
 pub(crate) fn sheet() -> Surface {
-    warped(&shapes::grid(3, 2), |p| {
-        p + Vec3::z() * (0.2 * p.x * p.x - 0.1 * p.x * p.y)
-    })
+    let mesh = shapes::grid(3, 2);
+    let form = |p: &Vec3, q: &Vec3| 0.2 * p.x * q.x - 0.05 * (p.x * q.y + p.y * q.x);
+    let mut surface = warped(&mesh, |p| p);
+    for (face, points) in surface.faces.iter().zip(&mut surface.control_points) {
+        for (point, exponents) in points.iter_mut().zip(EXPONENTS) {
+            // Blossom: the mean of the bilinear form over all pairs of the five arguments.
+            let mut terms: Vec<(u32, u8)> = face.iter().copied().zip(exponents).collect();
+            terms.sort_unstable();
+            let squares: f64 = terms
+                .iter()
+                .filter(|(_, e)| *e > 0)
+                .map(|(v, e)| {
+                    let corner = &mesh.positions[*v as usize];
+                    f64::from(*e) * form(corner, corner)
+                })
+                .sum();
+            point.z = (25.0 * form(point, point) - squares) / 20.0;
+        }
+        for (corner, number) in [0, 15, 20].into_iter().enumerate() {
+            surface.vertices[face[corner] as usize] = points[number];
+        }
+    }
+    surface
 }
 
 /// A unit cube of 12 patches with its 12 creases.

@@ -170,7 +170,7 @@ fn vertex(
     // Beyond 1e100, products of three differences of coordinates leave the range of f64.
     match coordinates
         .iter()
-        .find(|c| !(c.abs() <= crate::cloud::LARGEST))
+        .find(|c| c.is_nan() || c.abs() > crate::cloud::LARGEST)
     {
         None => Ok(Vec3::from(coordinates)),
         Some(value) => Err(ImportError::Value {
