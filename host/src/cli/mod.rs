@@ -2,6 +2,9 @@
 
 pub mod simulate;
 pub mod evaluate;
+pub mod board;
+pub mod capture;
+pub mod points;
 
 use std::process::ExitCode;
 

@@ -225,7 +225,12 @@ pub fn estimate(loads: &[Load], id: u32) -> Result<Estimate, CalibrateError> {
     {
         return Err(CalibrateError::Gauges { gauges });
     }
-    let is_finite = |load: &Load| load.wrench.iter().chain(&load.counts).all(|v| v.is_finite());
+    let is_finite = |load: &Load| {
+        load.wrench
+            .iter()
+            .chain(&load.counts)
+            .all(|v| v.is_finite())
+    };
     if let Some(place) = loads.iter().position(|load| !is_finite(load)) {
         return Err(CalibrateError::NotFinite { load: place + 1 });
     }
@@ -330,7 +335,7 @@ fn least_squares(
     let (unit, lengths) = scaled(counts);
     let singular = right_singular(&unit);
     let condition = singular[0].0 / singular[WRENCH_AXES - 1].0;
-    if !(condition <= MAX_CONDITION) || lengths.contains(&0.0) {
+    if condition.is_nan() || condition > MAX_CONDITION || lengths.contains(&0.0) {
         return Err(CalibrateError::Condition { condition });
     }
     let right_side = unit.transpose() * wrenches;
