@@ -39,6 +39,12 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
+fn write(path: &Path, cloud: &Cloud) -> std::io::Result<()> {
+    let mut file = BufWriter::new(File::create(path)?);
+    write_ply(cloud, &mut file)?;
+    file.flush()
+}
+
 fn print(common: &Common, args: &Args, reports: &[RunReport], count: usize) -> std::io::Result<()> {
     let mut out = std::io::stdout().lock();
     if common.json {
