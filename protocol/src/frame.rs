@@ -13,10 +13,11 @@
 //! polynomials Castagnoli's keeps Hamming distance 6 up to 5243 bits, longer than any frame here, where Ethernet's
 //! has 5 at that of a contact and 4 beyond 2974 bits (Koopman, "32-bit cyclic redundancy codes for internet applications", 2002).
 //!
-//! **What remains.** Let p be the chance that a damaged frame passes. The check sum is over the bytes before stuffing, so a flipped
-//! bit in a stuffing byte moves others, and the distance above holds only for flips that leave the stuffing alone. For damage in general
-//! p is 2^-32 = 2.3e-10 for the check sum, times 2^-32 more for a body that was not meant: magic, version, tag and kind are
-//! four to five fixed bytes (given damage that is spread over the envelope as well; damage to the body alone has 2^-32 only).
+//! **What remains.** A damaged frame passes with a chance of 2^-32 = 2.3e-10: at 200 Hz and one damaged frame in a hundred, one false frame in 68 years. Damage
+//! that reaches the envelope must also hit magic, version and tag, 2^-32 again. The check sum is over the bytes before stuffing, so a bit flipped in
+//! a stuffing byte moves others, and the distance above holds for flips that leave the stuffing alone. Measured (`cargo run --release -p palpus-protocol
+//! --example link_promises`): of 11 million frames damaged in eleven ways (flipped bits, bursts, dropped, doubled and swapped bytes, cuts, noise)
+//! none was accepted with other contents than were sent, and never more than one clean frame was lost after a damaged one; 33 would have passed with 16 bits.
 //!
 //! **Why not more.** Forward error correction and retransmission of contacts were left out: a contact 5 ms late is worth less than the next one,
 //! and every loss is counted by sequence number.
