@@ -14,6 +14,18 @@ pub enum Event {
         /// Id of the calibration in use.
         calibration_id: u32,
     },
+    /// The watchdog has restarted the board: sampling had stood still.
+    WatchdogRestart,
+    /// The board has restarted itself after a panic in this source line; the whole text went to the probe's log.
+    PanicRestart {
+        /// The line.
+        line: u32,
+    },
+    /// The board has restarted itself after a processor fault at this address.
+    FaultRestart {
+        /// The address.
+        address: u32,
+    },
     /// A gauge went bad.
     GaugeFault {
         /// Number of the gauge.
@@ -80,7 +92,11 @@ impl Event {
             | Self::BadFrame(_)
             | Self::BadMessage(_)
             | Self::JointFault { .. } => LogLevel::Warning,
-            Self::GaugeFault { .. } | Self::StoreFailed(_) => LogLevel::Error,
+            Self::GaugeFault { .. }
+            | Self::StoreFailed(_)
+            | Self::WatchdogRestart
+            | Self::PanicRestart { .. }
+            | Self::FaultRestart { .. } => LogLevel::Error,
         }
     }
 }
@@ -91,6 +107,15 @@ impl core::fmt::Display for Event {
             Self::Started { calibration_id: 0 } => f.write_str("started without calibration"),
             Self::Started { calibration_id } => {
                 write!(f, "started with calibration {calibration_id}")
+            }
+            Self::WatchdogRestart => {
+                f.write_str("restarted by the watchdog: sampling had stood still")
+            }
+            Self::PanicRestart { line } => {
+                write!(f, "restarted after a panic in source line {line}")
+            }
+            Self::FaultRestart { address } => {
+                write!(f, "restarted after a processor fault at {address:#010x}")
             }
             Self::GaugeFault { gauge, flags } => {
                 write!(f, "gauge {gauge}:")?;
@@ -125,6 +150,13 @@ impl defmt::Format for Event {
         match self {
             Self::Started { calibration_id } => {
                 defmt::write!(f, "started, calibration {=u32}", calibration_id)
+            }
+            Self::WatchdogRestart => defmt::write!(f, "restarted by the watchdog"),
+            Self::PanicRestart { line } => {
+                defmt::write!(f, "restarted after a panic in line {=u32}", line)
+            }
+            Self::FaultRestart { address } => {
+                defmt::write!(f, "restarted after a fault at {=u32:#010x}", address)
             }
             Self::GaugeFault { gauge, flags } => {
                 defmt::write!(f, "gauge {=u8} faulty, flags {=u8:b}", gauge, flags.bits())

@@ -11,7 +11,6 @@ pub mod hand;
 pub mod import;
 pub mod link;
 pub mod mesh;
-pub mod picture;
 pub mod ply;
 pub mod reconstruct;
 pub mod report;

@@ -1,1 +1,3 @@
 //! Shared fixtures of the whole-program tests.
+
+pub mod emulator;

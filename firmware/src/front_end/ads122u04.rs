@@ -17,6 +17,7 @@
 //! | chip reset in mid-run | answers have the length of a chip without check sums, or a read-back register differs | counted, set up again in the next period |
 //! | chip missing or silent | no answer by the period's end | channels missing; a reset is tried every period |
 //! | bad bytes | CRC of the answer | read again (the chip keeps the result); counted |
+//! | bytes that nobody asked for (noise, an answer from before) | no answer is due | period given up, the chip is asked for a register before the next |
 //! | conversions stand still | the result counter | read again, then late, after [`STALLED_LIMIT`] periods a reset |
 //! | gauge saturated | count at the end of the range | flagged, and looked at again at gain 1 |
 //! | bridge open | with 10 uA of burn-out current at gain 1, more than [`OPEN_LIMIT_COUNTS`] | flagged open |
@@ -134,6 +135,8 @@ pub struct Counters {
     pub timeouts: u32,
     /// Results that were not new when they were read.
     pub not_ready: u32,
+    /// Bytes that nobody had asked for.
+    pub strays: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -220,6 +223,7 @@ impl Ads122u04 {
                 check_errors: 0,
                 timeouts: 0,
                 not_ready: 0,
+                strays: 0,
             },
         }
     }
@@ -307,11 +311,14 @@ impl Ads122u04 {
         let expected = match self.state {
             State::Reading { .. } => ANSWER_BYTES,
             State::SettingUp { .. } | State::Checking { .. } | State::Probing => 3,
-            // Nothing was asked: the rest of an answer that came too late, or noise.
-            State::Idle
-            | State::Resetting { .. }
-            | State::Converting { .. }
-            | State::Waiting { .. } => return,
+            State::Resetting { .. } => return,
+            // Nothing was asked: the rest of an answer that came too late, or noise. Whatever is in step with the chip now
+            // may not be, so the next period begins by asking for a register.
+            State::Idle | State::Converting { .. } | State::Waiting { .. } => {
+                self.counters.strays = self.counters.strays.wrapping_add(1);
+                self.abandon();
+                return;
+            }
         };
         if self.answer.push(byte).is_err() || self.answer.len() < expected {
             return;
@@ -495,14 +502,14 @@ impl Ads122u04 {
             self.look[channel].open = counts.abs() > OPEN_LIMIT_COUNTS;
             send(&[SYNC, write_register(2), REGISTER_2], out);
             self.readings[channel].flags = if self.look[channel].open {
-                GaugeFlags::OPEN
+                GaugeFlags::OPEN.union(GaugeFlags::SATURATED)
             } else {
                 GaugeFlags::SATURATED
             };
             self.fresh[channel] = true;
         } else {
             let look = &mut self.look[channel];
-            let saturated = counts >= FULL_SCALE_COUNTS || counts <= -FULL_SCALE_COUNTS - 1;
+            let saturated = !(-FULL_SCALE_COUNTS..FULL_SCALE_COUNTS).contains(&counts);
             if saturated {
                 look.wanted = true;
             } else {
@@ -512,7 +519,7 @@ impl Ads122u04 {
             self.readings[channel].flags = match (saturated, look.open) {
                 (false, _) => GaugeFlags::none(),
                 (true, false) => GaugeFlags::SATURATED,
-                (true, true) => GaugeFlags::OPEN,
+                (true, true) => GaugeFlags::OPEN.union(GaugeFlags::SATURATED),
             };
             self.fresh[channel] = true;
             self.ever[channel] = true;
@@ -573,8 +580,14 @@ impl Ads122u04 {
             // Likewise its three bytes of data.
             State::Reading { .. } if self.answer.len() == 3 => self.lost(),
             State::Probing | State::SettingUp { .. } => self.configured = false,
-            _ => self.doubtful = true,
+            _ => {}
         }
+        self.abandon();
+    }
+
+    /// Ends the period where it stands; the next one begins by asking for a register.
+    fn abandon(&mut self) {
+        self.doubtful = true;
         if self.looking.is_some() {
             // The burn-out currents may still be on.
             self.configured = false;

@@ -6,7 +6,10 @@
 //!
 //! A question is the encoder's address; the answer is two bytes, low byte first: 14 bits of position and two check bits,
 //! each the inverse of the exclusive or of one half of the position's bits. An answer with wrong check bits is asked for
-//! once more. An encoder that stays silent costs its share of the period and no more, so the others go on.
+//! once more.
+//!
+//! An answer does not say whose it is. So after an encoder stayed silent, or a byte came that nobody had asked for, the bus is left alone for
+//! [`QUIET_PERIODS`] periods, long enough for whatever is under way to end; an answer that comes too late can't be taken for another encoder's.
 //!
 //! Source: AMT21 data sheet, sections "serial interface" and "checksum".
 
@@ -22,6 +25,9 @@ pub const STEPS_PER_TURN: u16 = 1 << 14;
 /// Tries at one encoder in one period.
 const TRIES: u8 = 2;
 
+/// Periods without a question after something went wrong: 20 ms at 200 Hz.
+pub const QUIET_PERIODS: u8 = 4;
+
 /// Why there is no angle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EncoderFault {
@@ -29,15 +35,14 @@ pub enum EncoderFault {
     Silent,
     /// Both tries had wrong check bits.
     CheckBits,
-    /// Its turn did not come before the period's end.
+    /// It was not asked in this period.
     NotAsked,
 }
 
 /// Times on the bus, in us.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timing {
-    /// From the start of a period to the moment at which no answer is waited for any more; each encoder may use an equal
-    /// share of it.
+    /// From the start of a period to the moment at which no answer is waited for any more.
     pub give_up_us: u32,
 }
 
@@ -53,6 +58,8 @@ pub struct Counters {
     pub check_errors: u32,
     /// Questions without a whole answer.
     pub timeouts: u32,
+    /// Bytes that nobody had asked for.
+    pub strays: u32,
 }
 
 /// The encoders of one finger.
@@ -64,6 +71,7 @@ pub struct Amt21Bus {
     /// The encoder that was asked; `JOINTS` when all have been.
     asked: usize,
     tries: u8,
+    quiet: u8,
     low: Option<u8>,
     results: [Result<u16, EncoderFault>; JOINTS],
     counters: Counters,
@@ -78,11 +86,13 @@ impl Amt21Bus {
             period_us: 0,
             asked: JOINTS,
             tries: 0,
+            quiet: 0,
             low: None,
             results: [Err(EncoderFault::NotAsked); JOINTS],
             counters: Counters {
                 check_errors: 0,
                 timeouts: 0,
+                strays: 0,
             },
         }
     }
@@ -102,14 +112,20 @@ impl Amt21Bus {
         if self.is_finished() {
             return None;
         }
-        let share = self.timing.give_up_us as u64 / JOINTS as u64;
-        Some(self.period_us + share * (self.asked as u64 + 1))
+        Some(self.period_us + self.timing.give_up_us as u64)
     }
 
-    /// Starts a period: all encoders are asked again.
+    /// Starts a period: all encoders are asked again, unless the bus is left alone.
     pub fn begin(&mut self, now_us: u64, out: &mut Outgoing) {
-        self.period_us = now_us;
+        if !self.is_finished() {
+            self.give_up();
+        }
         self.results = [Err(EncoderFault::NotAsked); JOINTS];
+        if self.quiet > 0 {
+            self.quiet -= 1;
+            return;
+        }
+        self.period_us = now_us;
         self.asked = 0;
         self.tries = 0;
         self.ask(out);
@@ -123,6 +139,8 @@ impl Amt21Bus {
     /// Takes one byte from the bus.
     pub fn receive(&mut self, byte: u8, out: &mut Outgoing) {
         if self.is_finished() {
+            self.counters.strays = self.counters.strays.wrapping_add(1);
+            self.quiet = QUIET_PERIODS;
             return;
         }
         let Some(low) = self.low.take() else {
@@ -147,16 +165,23 @@ impl Amt21Bus {
         }
     }
 
-    /// Gives up the encoder whose share of the period is over.
-    pub fn elapse(&mut self, now_us: u64, out: &mut Outgoing) {
-        if self.deadline_us().is_none_or(|deadline| now_us < deadline) {
-            return;
+    /// Gives the round up when its time is over.
+    pub fn elapse(&mut self, now_us: u64) {
+        if self
+            .deadline_us()
+            .is_some_and(|deadline| now_us >= deadline)
+        {
+            self.give_up();
         }
+    }
+
+    fn give_up(&mut self) {
         self.counters.timeouts = self.counters.timeouts.wrapping_add(1);
         if self.results[self.asked] == Err(EncoderFault::NotAsked) {
             self.results[self.asked] = Err(EncoderFault::Silent);
         }
-        self.next(out);
+        self.asked = JOINTS;
+        self.quiet = QUIET_PERIODS;
     }
 
     fn next(&mut self, out: &mut Outgoing) {

@@ -91,8 +91,8 @@ impl<L: SerialLine, const CHIPS: usize> GaugeFrontEnd for BridgeConverters<L, CH
                 }
             }
         }
-        if good > 0 {
-            self.last_good_us = sum_us / good + u64::from(self.conversion_us) / 2;
+        if let Some(mean_us) = sum_us.checked_div(good) {
+            self.last_good_us = mean_us + u64::from(self.conversion_us) / 2;
         }
         sample.time_us = self.last_good_us;
         for (driver, line) in self.chips.iter_mut().zip(&mut self.lines) {
@@ -139,7 +139,8 @@ pub struct EncoderBus<L> {
     line: L,
     mounts: [JointMount; JOINTS],
     angles_rad: [f32; JOINTS],
-    seen: [bool; JOINTS],
+    read_us: [Option<u64>; JOINTS],
+    states: [JointState; JOINTS],
     asked_us: u64,
 }
 
@@ -151,7 +152,8 @@ impl<L: SerialLine> EncoderBus<L> {
             line,
             mounts,
             angles_rad: [0.0; JOINTS],
-            seen: [false; JOINTS],
+            read_us: [None; JOINTS],
+            states: [JointState::Missing; JOINTS],
             asked_us: 0,
         }
     }
@@ -170,9 +172,7 @@ impl<L: SerialLine> EncoderBus<L> {
 
     /// Does what is due.
     pub fn elapse(&mut self, now_us: u64) {
-        let mut out = amt21::Outgoing::new();
-        self.bus.elapse(now_us, &mut out);
-        transmit(&mut self.line, &out);
+        self.bus.elapse(now_us);
     }
 
     /// What the driver has counted.
@@ -183,22 +183,32 @@ impl<L: SerialLine> EncoderBus<L> {
 
 impl<L: SerialLine> JointFrontEnd for EncoderBus<L> {
     fn sample(&mut self, now_us: u64) -> JointSample {
-        let mut sample = JointSample {
-            time_us: self.asked_us,
-            ..JointSample::default()
-        };
         for (joint, result) in self.bus.take().into_iter().enumerate() {
-            sample.states[joint] = match result {
+            self.states[joint] = match result {
                 Ok(steps) => {
                     self.angles_rad[joint] = self.mounts[joint].angle_rad(steps);
-                    self.seen[joint] = true;
+                    self.read_us[joint] = Some(self.asked_us);
                     JointState::Good
                 }
-                Err(EncoderFault::CheckBits) if self.seen[joint] => JointState::BadCheck,
-                Err(_) => JointState::Missing,
+                Err(EncoderFault::CheckBits) if self.read_us[joint].is_some() => {
+                    JointState::BadCheck
+                }
+                Err(EncoderFault::CheckBits | EncoderFault::Silent) => JointState::Missing,
+                // What was known stays known, and grows old.
+                Err(EncoderFault::NotAsked) => self.states[joint],
             };
         }
-        sample.angles_rad = self.angles_rad;
+        let oldest_us = self
+            .read_us
+            .iter()
+            .map(|read| read.unwrap_or(0))
+            .min()
+            .unwrap_or(0);
+        let sample = JointSample {
+            time_us: oldest_us,
+            angles_rad: self.angles_rad,
+            states: self.states,
+        };
         self.asked_us = now_us;
         let mut out = amt21::Outgoing::new();
         self.bus.begin(now_us, &mut out);
