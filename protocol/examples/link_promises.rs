@@ -181,7 +181,7 @@ fn measure(fault: Fault, frames: u64, seed: u64) -> Counts {
             counts.sixteen_bits += u64::from(sixteen_bits_agree(part, &expected));
         }
         // A fault that only adds a delimiter in front leaves the frame whole: accepted, and rightly so.
-        let mut check =
+        let check =
             |decoder: &mut Decoder, bytes: &[u8], expected: &[Vec<u8>], counts: &mut Counts| {
                 let mut found = 0u64;
                 for &byte in bytes {

@@ -30,10 +30,10 @@ pub const CONTACT_SEQUENCE_MODULUS: u32 = 1 << 24;
 
 /// Microns per step of a packed point coordinate.
 const POINT_STEP_UM: f32 = 2.0;
-/// Radians per step of a packed joint angle.
-const ANGLE_STEP_RAD: f64 = 1e-5;
+/// Steps of a packed joint angle per radian. All of this stays within the 24 bits of an `f32`, since a board has no `f64`.
+const ANGLE_STEPS_PER_RAD: f32 = 1e5;
 /// Largest packed joint angle, in steps (21 bits, two's complement).
-const ANGLE_LIMIT: f64 = ((1 << 20) - 1) as f64;
+const ANGLE_LIMIT: f32 = ((1 << 20) - 1) as f32;
 
 /// Status of a contact as bits: the reasons why it is not valid, and remarks that leave it valid.
 ///
@@ -261,8 +261,8 @@ fn to_u16(value: f32, clipped: &mut bool) -> [u8; 2] {
 }
 
 /// Joint angle in 21-bit two's complement steps.
-fn to_angle(angle_rad: f32, clipped: &mut bool) -> u64 {
-    let steps = f64::from(angle_rad) / ANGLE_STEP_RAD;
+fn to_angle(angle_rad: f32, clipped: &mut bool) -> u32 {
+    let steps = angle_rad * ANGLE_STEPS_PER_RAD;
     if !(-ANGLE_LIMIT..=ANGLE_LIMIT).contains(&steps) {
         *clipped = true;
     }
@@ -271,8 +271,8 @@ fn to_angle(angle_rad: f32, clipped: &mut bool) -> u64 {
     } else {
         steps + 0.5
     };
-    let rounded = rounded.clamp(-ANGLE_LIMIT, ANGLE_LIMIT) as i64;
-    (rounded as u64) & 0x001f_ffff
+    let rounded = rounded.clamp(-ANGLE_LIMIT, ANGLE_LIMIT) as i32;
+    rounded.cast_unsigned() & 0x001f_ffff
 }
 
 /// Folds a unit vector onto the octahedron and that onto the square [-1, 1]^2 (Meyer et al. 2010, "On floating-point normal vectors").
@@ -329,7 +329,8 @@ impl From<&Contact> for PackedContact {
             tangential_force_mn,
             spin_10un_m,
             sigma_um,
-            joint_angles_10urad: (a | b << 21 | c << 42).to_le_bytes(),
+            joint_angles_10urad: (u64::from(a) | u64::from(b) << 21 | u64::from(c) << 42)
+                .to_le_bytes(),
             flags: [f0, f1, f2],
         }
     }
@@ -343,7 +344,7 @@ impl From<PackedContact> for Contact {
         // Sign extension of 21 bits: shift them to the top, then back arithmetically.
         let angle = |shift: u32| {
             let steps = ((angles >> shift) << 43).cast_signed() >> 43;
-            (steps as f64 * ANGLE_STEP_RAD) as f32
+            steps as f32 / ANGLE_STEPS_PER_RAD
         };
         let [f0, f1, f2] = packed.flags;
         Self {

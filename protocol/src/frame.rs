@@ -150,25 +150,38 @@ impl core::fmt::Display for MessageError {
 impl core::error::Error for MessageError {}
 
 /// Writes one frame; see [`BoardMessage::encode`](crate::BoardMessage::encode).
+///
+/// Everything happens in `out`: the frame before stuffing stands from byte 1 on, and is then stuffed where it stands. That works because a
+/// frame has fewer than 254 bytes ([`MAX_RAW_BYTES`], asserted), so that stuffing puts one byte in front and only changes zeros.
 pub(crate) fn encode_body<T: Serialize>(
     kind: u8,
     body: &T,
     out: &mut [u8],
 ) -> Result<usize, EncodeError> {
+    const BODY_AT: usize = 1 + ENVELOPE_BYTES;
     let [tag_low, tag_high] = SCHEMA_TAG.to_le_bytes();
-    let mut raw = [0; MAX_RAW_BYTES];
-    raw[..ENVELOPE_BYTES].copy_from_slice(&[MAGIC, PROTOCOL_VERSION, tag_low, tag_high, kind]);
-    let room = MAX_RAW_BYTES - CRC_BYTES;
-    let written = postcard::to_slice(body, &mut raw[ENVELOPE_BYTES..room])
+    let head = out.get_mut(..BODY_AT).ok_or(EncodeError::BufferTooSmall)?;
+    head.copy_from_slice(&[DELIMITER, MAGIC, PROTOCOL_VERSION, tag_low, tag_high, kind]);
+    let written = postcard::to_slice(body, &mut out[BODY_AT..])
         .map_err(|_| EncodeError::BufferTooSmall)?
         .len();
-    let end = ENVELOPE_BYTES + written;
-    let crc = CRC.checksum(&raw[..end]);
-    raw[end..end + CRC_BYTES].copy_from_slice(&crc.to_le_bytes());
-    let stuffed =
-        cobs::try_encode(&raw[..end + CRC_BYTES], out).map_err(|_| EncodeError::BufferTooSmall)?;
-    *out.get_mut(stuffed).ok_or(EncodeError::BufferTooSmall)? = DELIMITER;
-    Ok(stuffed + 1)
+    let crc_at = BODY_AT + written;
+    let end = crc_at + CRC_BYTES;
+    let frame = out.get_mut(..=end).ok_or(EncodeError::BufferTooSmall)?;
+    let crc = CRC.checksum(&frame[1..crc_at]);
+    frame[crc_at..end].copy_from_slice(&crc.to_le_bytes());
+    // Consistent overhead byte stuffing (Cheshire and Baker 1999): every zero becomes the distance to the next one, counted from the
+    // byte in front; the delimiter is the last.
+    frame[end] = DELIMITER;
+    let mut distance = 0;
+    for byte in frame[..end].iter_mut().rev() {
+        distance += 1;
+        if *byte == DELIMITER {
+            *byte = distance;
+            distance = 0;
+        }
+    }
+    Ok(end + 1)
 }
 
 /// An undamaged frame: its envelope, and its body still encoded.

@@ -78,5 +78,5 @@ pub static CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 // 200 Hz fit 115 200 Bd only while these hold.
 const _: () = assert!(CONTACT_FRAME_BYTES <= 48);
 const _: () = assert!(CONTACT_FRAME_BYTES as u64 * 10 * 200 <= 115_200);
-// Frames of up to 254 bytes before stuffing need one stuffing byte, and stay far below the 655 bytes of CRC-32C's distance 6.
-const _: () = assert!(MAX_RAW_BYTES <= 254);
+// Frames of fewer than 254 bytes before stuffing need one stuffing byte, in front, and stay far below the 655 bytes of CRC-32C's distance 6.
+const _: () = assert!(MAX_RAW_BYTES < 254);
