@@ -11,6 +11,7 @@ pub mod hand;
 pub mod import;
 pub mod link;
 pub mod mesh;
+pub mod picture;
 pub mod ply;
 pub mod reconstruct;
 pub mod report;

@@ -21,6 +21,9 @@ enum Command {
     /// Move a simulated hand over an object.
     Simulate(cli::simulate::Args),
     Evaluate(cli::evaluate::Args),
+    Board(cli::board::Args),
+    Capture(cli::capture::Args),
+    Points(cli::points::Args),
 }
 
 fn main() -> ExitCode {
@@ -28,6 +31,9 @@ fn main() -> ExitCode {
     let outcome: Result<cli::Exit, cli::Failure> = match palpus.command {
         Command::Simulate(args) => cli::simulate::run(&palpus.common, args),
         Command::Evaluate(args) => cli::evaluate::run(&palpus.common, args),
+        Command::Board(args) => cli::board::run(&palpus.common, args),
+        Command::Capture(args) => cli::capture::run(&palpus.common, args),
+        Command::Points(args) => cli::points::run(&palpus.common, args),
     };
     match outcome {
         Ok(exit) => exit.into(),

@@ -1,6 +1,9 @@
 //! One file per subcommand: parse, call the library, print. Nothing else lives here.
 
+pub mod board;
+pub mod capture;
 pub mod evaluate;
+pub mod points;
 pub mod simulate;
 
 use std::process::ExitCode;

@@ -90,6 +90,12 @@ pub enum HandError {
     },
 }
 
+/// Whether a file lists the fingers of a URDF beside it.
+fn is_json(path: &Path) -> bool {
+    path.extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("json"))
+}
+
 impl Hand {
     /// The three-finger hand that `simulate` and `demo` move, as URDF text.
     pub const THREE_FINGER_URDF: &'static str = include_str!("three_finger.urdf");
@@ -99,24 +105,46 @@ impl Hand {
     /// # Errors
     /// [`HandError`], naming the file and the link, joint or value that is wrong.
     pub fn read(path: &Path) -> Result<Self, HandError> {
+        Self::from_sources(&Self::sources(path)?)
+    }
+
+    /// The files a hand is read from, with their names as given: the URDF, or the JSON and then its URDF. A run
+    /// keeps them, so that it can be read where the files are not.
+    ///
+    /// # Errors
+    /// [`HandError`], naming the file that can't be read.
+    pub fn sources(path: &Path) -> Result<Vec<(String, String)>, HandError> {
         let read = |path: &Path| {
             std::fs::read_to_string(path).map_err(|source| HandError::Read {
                 path: path.to_owned(),
                 source,
             })
         };
-        let text = read(path)?;
-        let file = path.display().to_string();
-        let is_json = path
-            .extension()
-            .is_some_and(|e| e.eq_ignore_ascii_case("json"));
-        if !is_json {
-            return Self::from_urdf(&text, &file);
+        let mut sources = vec![(path.display().to_string(), read(path)?)];
+        if is_json(path) {
+            let list = description::parse_finger_list(&sources[0].1, &sources[0].0)?;
+            let urdf = path.parent().unwrap_or(Path::new("")).join(&list.urdf);
+            sources.push((urdf.display().to_string(), read(&urdf)?));
         }
-        let list = description::parse_finger_list(&text, &file)?;
-        let urdf = path.parent().unwrap_or(Path::new("")).join(&list.urdf);
-        let urdf_text = read(&urdf)?;
-        description::hand(&urdf_text, &urdf.display().to_string(), Some(&list.fingers))
+        Ok(sources)
+    }
+
+    /// Reads a hand from the names and texts that [`Self::sources`] gave.
+    ///
+    /// # Errors
+    /// [`HandError`], naming the file and the link, joint or value that is wrong.
+    pub fn from_sources(sources: &[(String, String)]) -> Result<Self, HandError> {
+        match sources {
+            [(file, text)] if !is_json(Path::new(file)) => Self::from_urdf(text, file),
+            [(file, text), (urdf_file, urdf_text), ..] if is_json(Path::new(file)) => {
+                let list = description::parse_finger_list(text, file)?;
+                description::hand(urdf_text, urdf_file, Some(&list.fingers))
+            }
+            _ => Err(HandError::Urdf {
+                file: sources.first().map_or_else(String::new, |s| s.0.clone()),
+                reason: format!("{} files, where one or two make a hand", sources.len()),
+            }),
+        }
     }
 
     /// Reads a hand from the text of a URDF whose tips are named by convention; `file` is for messages.

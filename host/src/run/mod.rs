@@ -28,6 +28,9 @@
 //! Compression is left out on purpose: wire frames hardly compress, and a broken compressed chunk is lost as a
 //! whole.
 
+pub mod capture;
+pub mod points;
+pub mod reader;
 pub mod records;
 pub mod schema;
 pub mod writer;

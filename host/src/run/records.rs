@@ -556,7 +556,7 @@ mod tests {
         let file = Shared::default();
         let start = RunStart {
             started_ns: 1_000,
-            hand: Some(("hand.urdf".into(), b"<robot/>".to_vec())),
+            hand: vec![("hand.urdf".into(), "<robot/>".into())],
             fingers: vec!["thumb".into(), "index".into()],
             notes: BTreeMap::new(),
         };

@@ -70,8 +70,8 @@ type Sink<W> = NoSeek<BufWriter<Counted<W>>>;
 pub struct RunStart {
     /// When, nanoseconds since the Unix epoch.
     pub started_ns: u64,
-    /// Name and bytes of the hand file, where one is used.
-    pub hand: Option<(String, Vec<u8>)>,
+    /// Names and texts of the files the hand is read from ([`crate::hand::Hand::sources`]).
+    pub hand: Vec<(String, String)>,
     /// The fingers' names, in the order of their numbers.
     pub fingers: Vec<String>,
     /// Anything else worth keeping: program, options, object.
@@ -197,13 +197,13 @@ impl<W: Durable> RunWriter<W> {
         about.insert("palpus_version".into(), env!("CARGO_PKG_VERSION").into());
         about.insert("fingers".into(), start.fingers.join("\n"));
         self.metadata("palpus.run", about)?;
-        if let Some((name, bytes)) = &start.hand {
+        for (name, text) in &start.hand {
             let attachment = Attachment {
                 log_time: start.started_ns,
                 create_time: start.started_ns,
                 name: format!("hand/{name}"),
                 media_type: "application/octet-stream".into(),
-                data: Cow::Borrowed(bytes),
+                data: Cow::Borrowed(text.as_bytes()),
             };
             self.with(|mcap| mcap.attach(&attachment))?;
         }

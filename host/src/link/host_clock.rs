@@ -1,0 +1,76 @@
+//! The host's clock: steady like a monotonic clock, dated like a wall clock.
+//!
+//! All times of a run are read from one [`HostClock`], anchored once to the wall clock. Setting the wall clock
+//! during a run (by hand, by NTP, by daylight saving) therefore moves no contact; [`HostClock::wall_jump_us`]
+//! tells that it happened.
+
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+/// A clock that never jumps; copies agree with each other.
+#[derive(Clone, Copy, Debug)]
+pub struct HostClock {
+    anchor: Instant,
+    anchor_us: i64,
+}
+
+fn wall_us() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |d| i64::try_from(d.as_micros()).unwrap_or(i64::MAX))
+}
+
+impl HostClock {
+    /// A clock that agrees with the wall clock now.
+    pub fn start() -> Self {
+        Self {
+            anchor: Instant::now(),
+            anchor_us: wall_us(),
+        }
+    }
+
+    /// Microseconds since the Unix epoch.
+    pub fn now_us(&self) -> i64 {
+        self.at_us(Instant::now())
+    }
+
+    /// Microseconds since the Unix epoch at an instant.
+    pub fn at_us(&self, instant: Instant) -> i64 {
+        let since = instant.saturating_duration_since(self.anchor);
+        self.anchor_us
+            .saturating_add(i64::try_from(since.as_micros()).unwrap_or(i64::MAX))
+    }
+
+    /// Microseconds since the clock was started.
+    pub fn running_us(&self) -> u64 {
+        u64::try_from(self.anchor.elapsed().as_micros()).unwrap_or(u64::MAX)
+    }
+
+    /// The instant the clock was started, microseconds since the Unix epoch.
+    pub fn started_us(&self) -> i64 {
+        self.anchor_us
+    }
+
+    /// By how much the wall clock has moved against this one since it was started, microseconds.
+    pub fn wall_jump_us(&self) -> i64 {
+        wall_us().saturating_sub(self.now_us())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn copies_agree_and_never_go_back() {
+        let clock = HostClock::start();
+        let copy = clock;
+        let mut last = clock.now_us();
+        for _ in 0..1_000 {
+            let now = copy.now_us();
+            assert!(now >= last);
+            last = now;
+        }
+        let instant = Instant::now();
+        assert_eq!(clock.at_us(instant), copy.at_us(instant));
+        assert!(clock.started_us() <= last);
+    }
+}

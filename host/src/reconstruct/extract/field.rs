@@ -1,0 +1,158 @@
+//! The field: local fits blended into one function that is smooth wherever it is defined.
+//!
+//! Partition of unity (Franke 1977; Wendland 2005, chapter 15): f = sum w_i f_i / sum w_i with the compact
+//! C^2 weights (1-t)^4 (4t+1) of each fit's ball. A coarse fit over the whole cloud takes part everywhere with
+//! a weight so small that it only speaks where no ball reaches, so that f is defined, and smooth, everywhere.
+
+use std::collections::HashMap;
+
+use super::local_fit::LocalField;
+use crate::Vec3;
+
+/// Weight of the coarse fit against the 1 at a ball's centre. Nine tenths of the way out a ball still weighs
+/// 5e-4; with 1e-6 the coarse fit shares only the outermost 2 % of the radius.
+const COARSE_WEIGHT: f64 = 1e-6;
+
+/// A local fit and the ball it speaks for, in normalised coordinates.
+#[derive(Clone, Debug)]
+pub(super) struct Ball {
+    pub centre: Vec3,
+    pub radius: f64,
+    pub fit: LocalField,
+}
+
+impl Ball {
+    fn value(&self, x: &Vec3) -> f64 {
+        self.radius * self.fit.value(&((x - self.centre) / self.radius))
+    }
+
+    fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
+        let (f, g) = self
+            .fit
+            .value_and_gradient(&((x - self.centre) / self.radius));
+        (self.radius * f, g)
+    }
+}
+
+/// The blended field in normalised coordinates.
+#[derive(Clone, Debug)]
+pub(super) struct BlendedField {
+    balls: Vec<Ball>,
+    coarse: Option<Ball>,
+    cell: f64,
+    lookup: HashMap<[i32; 3], Vec<u32>>,
+}
+
+impl BlendedField {
+    /// Blends `balls`; `coarse` speaks where none of them reaches.
+    pub(super) fn new(balls: Vec<Ball>, coarse: Option<Ball>) -> Self {
+        let mut radii: Vec<f64> = balls.iter().map(|b| b.radius).collect();
+        radii.sort_by(f64::total_cmp);
+        let cell = radii.get(radii.len() / 2).copied().unwrap_or(1.0) * 0.5;
+        let mut lookup: HashMap<[i32; 3], Vec<u32>> = HashMap::new();
+        for (i, ball) in balls.iter().enumerate() {
+            let reach = Vec3::repeat(ball.radius);
+            let low = bucket(&(ball.centre - reach), cell);
+            let high = bucket(&(ball.centre + reach), cell);
+            for x in low[0]..=high[0] {
+                for y in low[1]..=high[1] {
+                    for z in low[2]..=high[2] {
+                        let corner = Vec3::new(f64::from(x), f64::from(y), f64::from(z)) * cell;
+                        let nearest = ball.centre.sup(&corner).inf(&(corner + Vec3::repeat(cell)));
+                        if (nearest - ball.centre).norm_squared() < ball.radius * ball.radius {
+                            lookup.entry([x, y, z]).or_default().push(i as u32);
+                        }
+                    }
+                }
+            }
+        }
+        Self {
+            balls,
+            coarse,
+            cell,
+            lookup,
+        }
+    }
+
+    fn reaching(&self, x: &Vec3) -> impl Iterator<Item = (&Ball, f64)> {
+        let x = *x;
+        self.lookup
+            .get(&bucket(&x, self.cell))
+            .into_iter()
+            .flatten()
+            .filter_map(move |&i| {
+                let ball = &self.balls[i as usize];
+                let t = (x - ball.centre).norm() / ball.radius;
+                (t < 1.0).then_some((ball, t))
+            })
+    }
+
+    /// Value at `x`; NaN where nothing speaks.
+    pub(super) fn value(&self, x: &Vec3) -> f64 {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for (ball, t) in self.reaching(x) {
+            let w = (1.0 - t).powi(4) * (4.0 * t + 1.0);
+            sum += w * ball.value(x);
+            weight += w;
+        }
+        if let (Some(coarse), Some((w, _))) = (&self.coarse, coarse_weight(weight)) {
+            sum += w * coarse.value(x);
+            weight += w;
+        }
+        sum / weight
+    }
+
+    /// Value and gradient at `x`, the blend's own derivative included; NaN where nothing speaks.
+    pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        let (mut slope, mut weight_slope) = (Vec3::zeros(), Vec3::zeros());
+        for (ball, t) in self.reaching(x) {
+            let s = 1.0 - t;
+            let w = s.powi(4) * (4.0 * t + 1.0);
+            // dw/dt = -20 t (1-t)^3, dt/dx = (x - c) / (t r^2)
+            let dw = (x - ball.centre) * (-20.0 * s.powi(3) / (ball.radius * ball.radius));
+            let (f, g) = ball.value_and_gradient(x);
+            sum += w * f;
+            weight += w;
+            slope += w * g + f * dw;
+            weight_slope += dw;
+        }
+        if let (Some(coarse), Some((w, dw))) = (&self.coarse, coarse_weight(weight)) {
+            let (f, g) = coarse.value_and_gradient(x);
+            sum += w * f;
+            weight += w;
+            slope += w * g + f * dw * weight_slope;
+            weight_slope *= 1.0 + dw;
+        }
+        let value = sum / weight;
+        (value, (slope - value * weight_slope) / weight)
+    }
+
+    /// Number of balls.
+    pub(super) fn len(&self) -> usize {
+        self.balls.len()
+    }
+
+    /// Bytes held, the lookup included.
+    pub(super) fn bytes(&self) -> usize {
+        let balls = self.balls.iter().chain(&self.coarse);
+        let lookup: usize = self.lookup.values().map(|v| 48 + 4 * v.len()).sum();
+        balls.map(|b| b.fit.bytes()).sum::<usize>() + lookup
+    }
+}
+
+/// Weight of the coarse fit where the balls together weigh `balls`, and its derivative by that; fades to
+/// nothing where they weigh a thousand times more.
+fn coarse_weight(balls: f64) -> Option<(f64, f64)> {
+    let fade = 1e3 * COARSE_WEIGHT;
+    let s = 1.0 - balls / fade;
+    (s > 0.0).then_some((COARSE_WEIGHT * s * s, -2.0 * COARSE_WEIGHT * s / fade))
+}
+
+fn bucket(x: &Vec3, cell: f64) -> [i32; 3] {
+    [
+        (x.x / cell).floor() as i32,
+        (x.y / cell).floor() as i32,
+        (x.z / cell).floor() as i32,
+    ]
+}

@@ -1,0 +1,241 @@
+//! How noisy the contacts are and how smooth the surface is, from the contacts themselves.
+//!
+//! Two ways were weighed. Generalised cross validation picks one smoothing weight and says nothing of the
+//! noise. The restricted likelihood of the local models separates the three things that matter: standard
+//! deviation of the positions, of the normals, and the smoothness `tau^2`; it won on all of torus, bean and
+//! two-holed torus with contact tracks (noise 0.005 and 3 degrees). The likelihood's noise levels would follow every outlier, so
+//! they are set by the medians of the leave-one-out deviations instead: for the right levels these
+//! deviations are standard normal.
+
+use rayon::prelude::*;
+
+use super::{
+    kernel::Kernel,
+    local_fit::{Contacts, LocalProblem},
+};
+use crate::{Vec3, cloud::Neighbourhoods};
+
+/// Balls from which the noise is estimated; more change the estimate by less than its own error.
+const SAMPLED_BALLS: usize = 16;
+/// Rounds of noise estimation at most.
+const ROUNDS: usize = 8;
+/// Least noise assumed, normalised units and radians: keeps the systems solvable for exact data.
+const LEAST_POSITION_SIGMA: f64 = 1e-7;
+const LEAST_NORMAL_SIGMA: f64 = 1e-6;
+
+/// Contacts in normalised coordinates with relative standard deviations.
+pub(super) struct Normalised {
+    pub positions: Vec<Vec3>,
+    pub normals: Vec<Vec3>,
+    /// Standard deviation of each position against the typical one.
+    pub relative_sigma: Vec<f64>,
+}
+
+/// Noise levels and smoothness, normalised units.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Levels {
+    pub position_sigma: f64,
+    pub normal_sigma: f64,
+    /// `tau^2` for lengths in normalised units; a ball of radius r uses `tau^2 r^(p-2)`.
+    pub tau2: f64,
+}
+
+/// A ball of neighbouring contacts.
+#[derive(Clone, Debug)]
+pub(super) struct Cover {
+    pub centre: Vec3,
+    pub radius: f64,
+    pub members: Vec<u32>,
+}
+
+/// Covers the contacts with balls of `k` neighbours such that every contact lies within `share` of a radius of
+/// some centre. Contacts are visited in their order, so the cover depends on nothing else.
+pub(super) fn cover(positions: &[Vec3], tree: &Neighbourhoods, k: usize, share: f64) -> Vec<Cover> {
+    let mut covered = vec![false; positions.len()];
+    let mut balls = Vec::new();
+    for i in 0..positions.len() {
+        if covered[i] {
+            continue;
+        }
+        let found = tree.nearest(&positions[i], k);
+        let radius = found.last().map_or(0.0, |(_, d2)| d2.sqrt());
+        for &(j, d2) in &found {
+            if d2 <= (share * radius).powi(2) {
+                covered[j] = true;
+            }
+        }
+        covered[i] = true;
+        balls.push(Cover {
+            centre: positions[i],
+            radius: radius * 1.0001,
+            members: found.iter().map(|&(j, _)| j as u32).collect(),
+        });
+    }
+    balls
+}
+
+/// The local problem of a ball.
+pub(super) fn problem(
+    kernel: Kernel,
+    data: &Normalised,
+    ball: &Cover,
+    levels: &Levels,
+) -> LocalProblem {
+    let local = |i: &u32| (data.positions[*i as usize] - ball.centre) / ball.radius;
+    LocalProblem::new(
+        kernel,
+        Contacts {
+            nodes: ball.members.iter().map(local).collect(),
+            normals: ball
+                .members
+                .iter()
+                .map(|&i| data.normals[i as usize])
+                .collect(),
+            position_sigma: ball
+                .members
+                .iter()
+                .map(|&i| levels.position_sigma * data.relative_sigma[i as usize] / ball.radius)
+                .collect(),
+            normal_sigma: vec![levels.normal_sigma; ball.members.len()],
+        },
+    )
+}
+
+/// `tau^2` in the local units of a ball.
+pub(super) fn local_tau2(problem: &LocalProblem, radius: f64, tau2: f64) -> f64 {
+    tau2 * radius.powi(problem.kernel().exponent() - 2)
+}
+
+/// Decades by which one ball's smoothness may differ from the common one before its own evidence has to be
+/// that much stronger (a normal prior on log10 tau^2).
+const TAU_SPREAD: f64 = 1.0;
+
+/// The smoothness of a ball: most likely given its contacts, drawn towards the `common` one if given.
+pub(super) fn choose_tau2(
+    problem: &LocalProblem,
+    radius: f64,
+    start: f64,
+    common: Option<f64>,
+) -> f64 {
+    let cost = |decade: f64| -> f64 {
+        let prior = common.map_or(0.0, |c| 0.5 * ((decade - c.log10()) / TAU_SPREAD).powi(2));
+        problem
+            .evidence(local_tau2(problem, radius, 10f64.powf(decade)))
+            .map_or(f64::INFINITY, |e| e + prior)
+    };
+    10f64.powf(minimise(start.log10(), cost))
+}
+
+/// Steps of a decade downhill, then the parabola through the best three.
+fn minimise(start: f64, cost: impl Fn(f64) -> f64) -> f64 {
+    let mut at = start;
+    let (mut low, mut mid, mut high) = (cost(at - 1.0), cost(at), cost(at + 1.0));
+    for _ in 0..12 {
+        if low < mid && low <= high {
+            at -= 1.0;
+            (high, mid) = (mid, low);
+            low = cost(at - 1.0);
+        } else if high < mid {
+            at += 1.0;
+            (low, mid) = (mid, high);
+            high = cost(at + 1.0);
+        } else {
+            break;
+        }
+    }
+    let bend = low - 2.0 * mid + high;
+    if bend.is_finite() && bend > 0.0 {
+        at + (0.5 * (low - high) / bend).clamp(-0.5, 0.5)
+    } else {
+        at
+    }
+}
+
+/// Estimates noise and smoothness from a sample of the balls.
+pub(super) fn estimate(
+    kernel: Kernel,
+    data: &Normalised,
+    balls: &[Cover],
+    tree: &Neighbourhoods,
+) -> Levels {
+    let step = balls.len().div_ceil(SAMPLED_BALLS).max(1);
+    let sample: Vec<&Cover> = balls
+        .iter()
+        .step_by(step)
+        .filter(|b| b.radius > 0.0)
+        .collect();
+    let mut levels = first_guess(data, tree);
+    let mut starts = vec![levels.tau2; sample.len()];
+    for _ in 0..ROUNDS {
+        let results: Vec<_> = sample
+            .par_iter()
+            .zip(&starts)
+            .map(|(ball, &start)| {
+                let problem = problem(kernel, data, ball, &levels);
+                let tau2 = choose_tau2(&problem, ball.radius, start, None);
+                let out = problem.leave_one_out(local_tau2(&problem, ball.radius, tau2));
+                (tau2, out)
+            })
+            .collect();
+        let (mut values, mut tangents) = (Vec::new(), Vec::new());
+        for ((_, out), ball) in results.iter().zip(&sample) {
+            for (e, &i) in out.iter().flat_map(|o| &o.deviation).zip(&ball.members) {
+                let normal = data.normals[i as usize];
+                let e_normal = Vec3::new(e[1], e[2], e[3]);
+                let along = normal * e_normal.dot(&normal);
+                values.push(e[0].abs());
+                tangents.push((e_normal - along).norm_squared());
+            }
+        }
+        // Medians of |N(0,1)| and of chi-squared with two degrees of freedom.
+        let position_factor = median(&mut values).map_or(1.0, |m| m / 0.674_49);
+        let normal_factor = median(&mut tangents).map_or(1.0, |m| (m / 1.386_29).sqrt());
+        starts = results.iter().map(|(t, _)| *t).collect();
+        let mut decades: Vec<f64> = starts.iter().map(|t| t.log10()).collect();
+        levels = Levels {
+            position_sigma: (levels.position_sigma * position_factor.clamp(0.05, 20.0))
+                .max(LEAST_POSITION_SIGMA),
+            normal_sigma: (levels.normal_sigma * normal_factor.clamp(0.05, 20.0))
+                .max(LEAST_NORMAL_SIGMA),
+            tau2: median(&mut decades).map_or(levels.tau2, |d| 10f64.powf(d)),
+        };
+        if (position_factor - 1.0).abs() < 0.03 && (normal_factor - 1.0).abs() < 0.03 {
+            break;
+        }
+    }
+    levels
+}
+
+/// A rough start: neighbouring normals and the heights of neighbours over each other's tangent planes.
+fn first_guess(data: &Normalised, tree: &Neighbourhoods) -> Levels {
+    let (mut heights, mut turns) = (Vec::new(), Vec::new());
+    let step = data.positions.len().div_ceil(2000).max(1);
+    for i in (0..data.positions.len()).step_by(step) {
+        for (j, _) in tree.nearest(&data.positions[i], 5) {
+            if j == i || data.normals[i].dot(&data.normals[j]) < 0.5 {
+                continue;
+            }
+            let d = data.positions[j] - data.positions[i];
+            heights.push((0.5 * d.dot(&(data.normals[i] + data.normals[j]))).abs());
+            turns.push((data.normals[i] - data.normals[j]).norm_squared());
+        }
+    }
+    // Height: two positions; turn: two normals with two components each.
+    let position = median(&mut heights).map_or(1e-3, |m| m / 0.674_49 / 2f64.sqrt());
+    let normal = median(&mut turns).map_or(1e-2, |m| (m / 1.386_29 / 2.0).sqrt());
+    Levels {
+        position_sigma: position.clamp(LEAST_POSITION_SIGMA, 0.1),
+        normal_sigma: normal.clamp(LEAST_NORMAL_SIGMA, 0.5),
+        tau2: 1.0,
+    }
+}
+
+/// The middle value; `None` of nothing.
+pub(super) fn median(values: &mut [f64]) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let middle = values.len() / 2;
+    let (_, m, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
+    Some(*m)
+}
