@@ -142,11 +142,18 @@ impl Bench {
 
 impl<S: CalibrationStore> Bench<S> {
     fn with_store(store: S) -> Self {
+        Self::with_store_and_period(store, PERIOD_US as u32)
+    }
+
+    fn with_store_and_period(store: S, period_us: u32) -> Self {
         let tip = TipGeometry {
             semi_axes_mm: [20.0; 3],
             centre_offset_mm: [0.0, 0.0, 35.0],
         };
-        let config = BoardConfig::new(*b"0123456789ab", 1, "index", tip);
+        let config = BoardConfig {
+            period_us,
+            ..BoardConfig::new(*b"0123456789ab", 1, "index", tip)
+        };
         let gauges = Gauges {
             counts: counts([0.0; 6]),
             flags: [GaugeFlags::none(); MAX_GAUGES],
@@ -172,7 +179,7 @@ impl<S: CalibrationStore> Bench<S> {
     /// Runs some periods, listening all the while.
     fn run(&mut self, periods: u32) {
         for _ in 0..periods {
-            self.now_us += PERIOD_US;
+            self.now_us += u64::from(self.board.config().period_us);
             self.board.tick(self.now_us);
             self.board.tick_ended(self.now_us + 100);
             self.listen();
@@ -227,7 +234,14 @@ impl<S: CalibrationStore> Bench<S> {
     where
         S: Default,
     {
-        let mut bench = Self::with_store(S::default());
+        Self::ready_with_period(PERIOD_US as u32)
+    }
+
+    fn ready_with_period(period_us: u32) -> Self
+    where
+        S: Default,
+    {
+        let mut bench = Self::with_store_and_period(S::default(), period_us);
         assert!(matches!(
             bench.ask(Command::SetCalibration(calibration(7))),
             Outcome::CalibrationStored(_)
@@ -996,6 +1010,121 @@ fn bytes_one_by_one_are_the_frames() {
     assert!(frames.len() > 5 * CONTACT_FRAME_BYTES && single.board.next_byte(0).is_none());
 }
 
+/// Runs a board for ten seconds on a line of so many baud; returns its statistics and the contacts that came through.
+fn ten_seconds_on_a_line(baud: u64, period_us: u64, streams: Streams) -> (Statistics, u32) {
+    let mut bench = Bench::<RamStore>::ready_with_period(period_us as u32);
+    bench.ask(Command::Start(streams));
+    bench.heard.clear();
+    let (mut bits, mut contacts) = (0, 0);
+    for tick in 0..10_000_000 / period_us {
+        bench.now_us += period_us;
+        bench.board.tick(bench.now_us);
+        // Clocks are compared and statistics asked for once a second, as a host does.
+        if (tick * period_us) % 1_000_000 == 0 {
+            let request_id = 10_000 + tick as u32;
+            bench.send(Request {
+                request_id,
+                command: Command::TimeSync(TimeSyncRequest {
+                    host_send_us: bench.now_us,
+                }),
+            });
+            bench.send(Request {
+                request_id: request_id + 1,
+                command: Command::Statistics,
+            });
+        }
+        // Eight bits, a start and a stop bit per byte; an idle line saves nothing up.
+        bits += baud * period_us;
+        while bits >= 10_000_000 {
+            let Some(byte) = bench.board.next_byte(bench.now_us) else {
+                bits = 0;
+                break;
+            };
+            bits -= 10_000_000;
+            if let Some(frame) = bench.decoder.push(byte) {
+                contacts += u32::from(matches!(
+                    BoardMessage::try_from(frame.expect("undamaged")),
+                    Ok(BoardMessage::Contact(_))
+                ));
+            }
+        }
+    }
+    (bench.board.statistics(0, 0), contacts)
+}
+
+#[test]
+fn a_line_of_115_200_baud_carries_200_contacts_a_second_and_more() {
+    let (statistics, contacts) = ten_seconds_on_a_line(
+        115_200,
+        5000,
+        Streams {
+            contact_every: 1,
+            raw_every: 20,
+        },
+    );
+    assert_eq!(
+        (
+            statistics.contacts,
+            statistics.contacts_dropped,
+            statistics.raw_dropped
+        ),
+        (2000, 0, 0)
+    );
+    assert_eq!(
+        (statistics.replies_dropped, statistics.rate_millihertz),
+        (0, 200_000)
+    );
+    assert!(
+        contacts >= 1998 && statistics.contact_queue_high_water <= 8,
+        "{contacts} {statistics:?}"
+    );
+}
+
+#[test]
+fn a_line_of_921_600_baud_carries_a_thousand_contacts_a_second() {
+    let (statistics, contacts) = ten_seconds_on_a_line(
+        921_600,
+        1000,
+        Streams {
+            contact_every: 1,
+            raw_every: 20,
+        },
+    );
+    assert_eq!(
+        (
+            statistics.contacts,
+            statistics.contacts_dropped,
+            statistics.raw_dropped
+        ),
+        (10_000, 0, 0)
+    );
+    assert_eq!(
+        (statistics.overruns, statistics.rate_millihertz),
+        (0, 1_000_000)
+    );
+    assert!(contacts >= 9998, "{contacts}");
+}
+
+#[test]
+fn what_a_line_can_not_carry_is_dropped_and_counted() {
+    let (statistics, contacts) = ten_seconds_on_a_line(
+        57_600,
+        5000,
+        Streams {
+            contact_every: 1,
+            raw_every: 0,
+        },
+    );
+    // Room for 120 contacts a second of 200, less the replies.
+    assert!((1150..=1200).contains(&contacts), "{contacts}");
+    // Sent, dropped or still waiting: nothing else can have become of them. One may be half sent.
+    let accounted = contacts + statistics.contacts_dropped;
+    assert!(
+        (2000 - 65..=2000 - 64).contains(&accounted),
+        "{accounted} {statistics:?}"
+    );
+}
+
 #[test]
 fn slow_drift_is_followed_and_remarked_and_a_touch_is_not() {
     let mut bench = Bench::<RamStore>::ready();
@@ -1130,8 +1259,6 @@ fn happening() -> impl Strategy<Value = Happening> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(200))]
-
     /// Whatever happens, the board goes on: it still answers, and every frame it sends is whole and readable.
     #[test]
     fn nothing_stops_a_board(happenings in proptest::collection::vec(happening(), 0..60)) {

@@ -4,8 +4,42 @@
 //!
 //! 8-N-1 serial, 115 200 Bd or more, so ten bits a byte. A contact frame is 48 bytes on the wire, whatever its values:
 //! 5 envelope + 37 contact + 4 check sum + 1 stuffing + 1 delimiter. At 200 Hz that is 96 000 Bd, 83 % of 115 200 Bd; the remaining 1 920 bytes a second
-//! carry time sync (two frames of at most 45 bytes per second), statistics, log lines and, thinned out, raw gauges.
-//! At 921 600 Bd the same frames go at 1 kHz (52 %).
+//! carry time sync (an answer is at most 47 bytes), statistics (500 bytes for eight gauges), log lines and, thinned out, raw gauges: every
+//! twentieth period for eight gauges is 1 150 bytes a second. At 921 600 Bd the same frames go at 1 kHz (52 %).
+//!
+//! # Messages
+//!
+//! | kind | message | from | says | largest frame, bytes |
+//! |---|---|---|---|---|
+//! | 01 | [`Identity`] | board | who it is, its tip, its calibration (frozen layout) | 113 |
+//! | 02 | [`Contact`] | board | one contact | 48 |
+//! | 03 | [`RawGauges`] | board | counts and tared counts of one period | 115 |
+//! | 04 | [`Statistics`] | board | its counters | 144 |
+//! | 05 | [`GaugeStatistics`] | board | counters of up to four gauges | 178 |
+//! | 06 | [`Log`] | board | a line of text | 103 |
+//! | 07 | [`Reply`] | board | answer to a request ([`Outcome`]) | 221 |
+//! | 81 | [`Identify`] | host | who are you? (frozen layout) | 16 |
+//! | 82 | [`Request`] | host | any other request ([`Command`]) | 221 |
+//!
+//! # A frame there and back
+//!
+//! ```
+//! use palpus_protocol::{Command, Decoder, HostMessage, MAX_FRAME_BYTES, Request};
+//!
+//! let ping = HostMessage::from(Request { request_id: 1, command: Command::Ping(7) });
+//! let mut wire = [0; MAX_FRAME_BYTES];
+//! let length = ping.encode(&mut wire)?;
+//!
+//! let mut decoder = Decoder::new();
+//! let mut heard = None;
+//! for &byte in &wire[..length] {
+//!     if let Some(frame) = decoder.push(byte) {
+//!         heard = Some(HostMessage::try_from(frame?)?);
+//!     }
+//! }
+//! assert_eq!(heard, Some(ping));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 //!
 //! # Promises
 //!

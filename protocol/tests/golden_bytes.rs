@@ -97,6 +97,22 @@ fn sizes_and_frames(lines: &mut Lines) {
         "largest-body-raw-frame",
         &format!("{MAX_BODY_BYTES} {MAX_RAW_BYTES} {MAX_FRAME_BYTES}"),
     );
+    for (name, body_bytes) in [
+        ("identity", Identity::MAX_BYTES),
+        ("contact", Contact::MAX_BYTES),
+        ("raw-gauges", RawGauges::MAX_BYTES),
+        ("statistics", Statistics::MAX_BYTES),
+        ("gauge-statistics", GaugeStatistics::MAX_BYTES),
+        ("log", Log::MAX_BYTES),
+        ("reply", Reply::MAX_BYTES),
+        ("identify", Identify::MAX_BYTES),
+        ("request", Request::MAX_BYTES),
+    ] {
+        lines.add(
+            &format!("largest-frame {name}"),
+            &wire_bytes(body_bytes).to_string(),
+        );
+    }
     let mut out = [0; MAX_FRAME_BYTES];
     let length = HostMessage::from(Identify { request_id: 1 })
         .encode(&mut out)
