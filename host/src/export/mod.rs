@@ -8,6 +8,7 @@
 //! | `.obj` | triangles, normals (one per side at creases) | [`obj`] |
 //! | `.stl` | triangles | [`stl`] |
 //! | `.glb` | triangles, normals, sigma as attribute and colour | [`glb`] |
+//! | `.step` | the surface itself, exactly, as faces of a solid or shell | [`step`] |
 //!
 //! Promised for all: the same surface gives the same bytes; points on shared edges are the same in every
 //! triangle that uses them, to the last bit, so a closed surface is a closed mesh.
@@ -17,6 +18,7 @@ pub mod obj;
 pub mod ply;
 #[cfg(test)]
 pub(crate) mod shapes;
+pub mod step;
 pub mod stl;
 pub mod surface_file;
 mod weld;
