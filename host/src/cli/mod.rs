@@ -4,7 +4,6 @@ pub mod board;
 pub mod capture;
 pub mod evaluate;
 pub mod points;
-pub mod evaluate;
 pub mod simulate;
 
 use std::process::ExitCode;
