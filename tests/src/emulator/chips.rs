@@ -20,6 +20,27 @@ pub trait World: Send {
     fn joint_rad(&self, joint: usize) -> f64;
 }
 
+/// A world that the test keeps a hand on.
+impl<W: World> World for Arc<Mutex<W>> {
+    fn advance(&mut self, time: Duration) {
+        self.lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .advance(time);
+    }
+
+    fn gauge(&self, gauge: usize) -> Input {
+        self.lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .gauge(gauge)
+    }
+
+    fn joint_rad(&self, joint: usize) -> f64 {
+        self.lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .joint_rad(joint)
+    }
+}
+
 /// A round counts as over after this, even when a chip never finished it.
 const ROUND_LIMIT: Duration = Duration::from_millis(20);
 

@@ -3,6 +3,7 @@
 //! Like a USB adapter it always takes what the board sends, and drops it when the program behind the terminal does not read.
 
 use serialport::{SerialPort, TTYPort};
+use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::sync::Arc;
@@ -14,7 +15,7 @@ use std::time::Duration;
 pub struct HostLine {
     path: String,
     /// Kept open, so that the line outlives the programs that use it.
-    _terminal: TTYPort,
+    _terminal: File,
     stop: Arc<AtomicBool>,
     dropped: Arc<AtomicU64>,
     corrupt: Arc<AtomicU64>,
@@ -24,11 +25,13 @@ pub struct HostLine {
 impl HostLine {
     /// Between a board's socket and a new pseudo-terminal.
     pub fn new(board: UnixStream) -> io::Result<Self> {
-        let (mut master, mut terminal) = TTYPort::pair()?;
-        terminal.set_exclusive(false)?;
+        let (mut master, terminal) = TTYPort::pair()?;
         let path = terminal
             .name()
             .ok_or_else(|| io::Error::other("the terminal has no name"))?;
+        // A second handle without the first one's exclusive lock, which would keep programs out.
+        let keeper = File::options().read(true).write(true).open(&path)?;
+        drop(terminal);
         master.set_timeout(Duration::ZERO)?;
         let mut from_host = master.try_clone_native()?;
         from_host.set_timeout(Duration::from_millis(50))?;
@@ -82,7 +85,7 @@ impl HostLine {
         });
         Ok(Self {
             path,
-            _terminal: terminal,
+            _terminal: keeper,
             stop,
             dropped,
             corrupt,

@@ -17,10 +17,19 @@ pub mod ads122u04;
 pub mod amt21;
 mod board;
 mod chips;
+pub mod client;
 mod host_line;
 pub mod log;
+pub mod sliding;
 
 pub use board::{Board, BoardError};
 pub use chips::{Bench, World};
+pub use client::Client;
 pub use host_line::HostLine;
 pub use log::{DefmtLog, LogLine, Memory};
+pub use sliding::{GaugeFault, Motion, SlidingFinger};
+
+/// The hand that comes with the host.
+pub fn hand_file() -> std::path::PathBuf {
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../host/src/hand/three_finger.urdf")
+}

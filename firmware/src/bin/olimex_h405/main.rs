@@ -57,6 +57,9 @@ mod app {
     /// Beats of SysTick in one period.
     const BEATS: u32 = settings::PERIOD_US / time::BEAT_US;
 
+    /// Ticks that the chips get to come up before the board takes what they say: 0.1 s; the encoders need it.
+    const START_TICKS: u8 = 20;
+
     /// Beats without a finished tick after which the watchdog is not fed any more: 0.1 s.
     const DEAD_BEATS: u32 = 1_000;
 
@@ -74,6 +77,7 @@ mod app {
     #[local]
     struct Local {
         beats: u32,
+        start_ticks: u8,
         port: HostPort,
         queues: HostQueues,
     }
@@ -145,6 +149,7 @@ mod app {
             },
             Local {
                 beats: 0,
+                start_ticks: START_TICKS,
                 port: HostPort::new(port, received_in, send_out),
                 queues: HostQueues::new(port, received_out, send_in),
             },
@@ -188,7 +193,7 @@ mod app {
         }
     }
 
-    #[task(priority = 2, shared = [converters, encoders, board, beats_since_tick])]
+    #[task(priority = 2, local = [start_ticks], shared = [converters, encoders, board, beats_since_tick])]
     async fn tick(mut cx: tick::Context) {
         let now_us = time::now_us();
         let (sample, resets) = cx
@@ -196,6 +201,11 @@ mod app {
             .converters
             .lock(|converters| (converters.sample(now_us), converters.chip_resets()));
         let joints = cx.shared.encoders.lock(|encoders| encoders.sample(now_us));
+        cx.shared.beats_since_tick.lock(|beats| *beats = 0);
+        if *cx.local.start_ticks > 0 {
+            *cx.local.start_ticks -= 1;
+            return;
+        }
         let valid = cx.shared.board.lock(|board| {
             *board.gauges_mut() = Gauges { sample, resets };
             *board.joints_mut() = Joints(joints);
@@ -207,7 +217,6 @@ mod app {
         });
         // Lit while something is touched and everything is right.
         pins::LAMP.set(!valid);
-        cx.shared.beats_since_tick.lock(|beats| *beats = 0);
         let _ = serve::spawn();
     }
 
