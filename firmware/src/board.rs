@@ -8,19 +8,24 @@
 //! take_event()         what to tell the debug probe, outside of the sampling interrupt
 //! ```
 //!
-//! Every call is bounded, waits for nothing and allocates nothing, with one exception that says so: a `SetCalibration` writes the
-//! store, which may take as long as an erase, and is refused while streams are on.
+//! Every call is bounded, waits for nothing and allocates nothing, with one exception that says so:
+//! a `SetCalibration` writes the store, which may take as long as an erase, and is refused while
+//! streams are on.
 //!
 //! # One structure or two: both ways
 //!
-//! *Two halves* (a sampler and a link) joined by lock-free queues: sampling never waits for the link, not even for a lock. But commands reach across:
-//! a tare is asked for in one half, done in the other and answered in the first; statistics gather from both; each crossing is a queue of its own
-//! with an order to get wrong, and the simulated board would need both threads. *One structure* that its owner locks: every command is a plain
-//! method, the host's simulation is one object in one thread, and the same inputs give the same bytes. The price is that a tick can wait for
-//! whoever holds the lock; the longest hold is encoding one frame of 221 bytes, some tens of microseconds at 168 MHz, 1 % of the period. The second was taken.
+//! *Two halves* (a sampler and a link) joined by lock-free queues: sampling never waits for the
+//! link, not even for a lock. But commands reach across: a tare is asked for in one half, done in
+//! the other and answered in the first; statistics gather from both; each crossing is a queue of
+//! its own with an order to get wrong, and the simulated board would need both threads. *One
+//! structure* that its owner locks: every command is a plain method, the host's simulation is one
+//! object in one thread, and the same inputs give the same bytes. The price is that a tick can wait
+//! for whoever holds the lock; the longest hold is encoding one frame of 221 bytes, some tens of
+//! microseconds at 168 MHz, 1 % of the period. The second was taken.
 //!
-//! Contacts are encoded when they are made, because 48 bytes are smaller than the contact, and everything else when it is handed out, so that clocks
-//! and counters in a reply are those of the moment it leaves.
+//! Contacts are encoded when they are made, because 48 bytes are smaller than the contact, and
+//! everything else when it is handed out, so that clocks and counters in a reply are those of the
+//! moment it leaves.
 
 use crate::commands::{PendingReply, RecentRequests};
 use crate::event::Event;
@@ -64,15 +69,18 @@ pub struct BoardConfig {
     pub tip: TipGeometry,
     /// What counts as a contact.
     pub limits: ContactLimits,
-    /// Noise of the wrench that is assumed at least, whatever the gauges show while taring: it stands for drift since the tare as well.
+    /// Noise of the wrench that is assumed at least, whatever the gauges show while taring: it
+    /// stands for drift since the tare as well.
     pub noise_floor: WrenchNoise,
-    /// A gauge whose count stays the same for this many periods is stuck; 0 never. A 24-bit bridge converter with its noise does not repeat a
-    /// count twice; a simulated gauge without noise does, and needs 0.
+    /// A gauge whose count stays the same for this many periods is stuck; 0 never. A 24-bit bridge
+    /// converter with its noise does not repeat a count twice; a simulated gauge without noise
+    /// does, and needs 0.
     pub stuck_after: u16,
 }
 
 impl BoardConfig {
-    /// A board of the standard kind: 5 ms, standard limits, typical noise, stuck after 20 equal counts. Names are cut at 16 bytes.
+    /// A board of the standard kind: 5 ms, standard limits, typical noise, stuck after 20 equal
+    /// counts. Names are cut at 16 bytes.
     pub fn new(board_id: [u8; 12], finger_number: u8, finger_name: &str, tip: TipGeometry) -> Self {
         let mut name = String::new();
         for character in finger_name.chars() {
@@ -152,7 +160,8 @@ pub struct Board<G, J, S> {
 }
 
 impl<G: GaugeFrontEnd, J: JointFrontEnd, S: CalibrationStore> Board<G, J, S> {
-    /// Starts a board: loads the calibration from the store and has its identity waiting for the host.
+    /// Starts a board: loads the calibration from the store and has its identity waiting for the
+    /// host.
     pub fn new(
         config: BoardConfig,
         gauges: G,
@@ -345,8 +354,8 @@ impl<G: GaugeFrontEnd, J: JointFrontEnd, S: CalibrationStore> Board<G, J, S> {
 
     /// The next frame for the host, whole; valid until the next call.
     ///
-    /// Replies go first, but never two in a row while contacts wait; then contacts, raw frames, log lines. Don't mix with
-    /// [`next_byte`](Self::next_byte) in mid-frame.
+    /// Replies go first, but never two in a row while contacts wait; then contacts, raw frames, log
+    /// lines. Don't mix with [`next_byte`](Self::next_byte) in mid-frame.
     pub fn take_frame(&mut self, now_us: u64) -> Option<&[u8]> {
         self.transmit_length = self.fill_transmit(now_us)?;
         self.transmit_next = self.transmit_length;

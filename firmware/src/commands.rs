@@ -1,7 +1,8 @@
 //! Requests from the host: each is done once and answered as often as it is asked.
 //!
-//! A request is known by its id together with the check sum of its bytes, so that a host that starts anew with an old id does not get the
-//! answer to another question. Requests that change something are remembered; questions are simply answered again.
+//! A request is known by its id together with the check sum of its bytes, so that a host that
+//! starts anew with an old id does not get the answer to another question. Requests that change
+//! something are remembered; questions are simply answered again.
 
 use crate::board::Board;
 use crate::event::Event;

@@ -1,7 +1,8 @@
-//! What happened on the board that someone should know: for the host as log lines, for the debug probe as values.
+//! What happened on the board that someone should know: for the host as log lines, for the debug
+//! probe as values.
 //!
-//! Events are small values. Nothing is formatted while sampling: the text is made when a line is handed to the transmitter, and the
-//! probe's log (`defmt`) formats on the host.
+//! Events are small values. Nothing is formatted while sampling: the text is made when a line is
+//! handed to the transmitter, and the probe's log (`defmt`) formats on the host.
 
 use crate::store::StoreError;
 use palpus_protocol::{FrameError, GaugeFlags, LogLevel, MessageError, Refusal};
@@ -16,7 +17,8 @@ pub enum Event {
     },
     /// The watchdog has restarted the board: sampling had stood still.
     WatchdogRestart,
-    /// The board has restarted itself after a panic in this source line; the whole text went to the probe's log.
+    /// The board has restarted itself after a panic in this source line; the whole text went to the
+    /// probe's log.
     PanicRestart {
         /// The line.
         line: u32,

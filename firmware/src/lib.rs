@@ -1,6 +1,7 @@
 //! Contact sensing, sampling and commands of the fingertip board.
 //!
-//! No HAL, no allocation, `f32` only: the same code runs in the board's interrupts and, as the simulated board, in a thread of the host.
+//! No HAL, no allocation, `f32` only: the same code runs in the board's interrupts and, as the
+//! simulated board, in a thread of the host.
 //!
 //! ```text
 //! front_end  counts and angles, without waiting
@@ -16,6 +17,45 @@
 //! commands   requests from the host, each done once
 //! store      the calibration, in two slots
 //! board      all of it: tick(now), receive(bytes, now), take_frame(now)
+//! ```
+//! # A board on the host
+//!
+//! ```
+//! use palpus_firmware::front_end::{GaugeFrontEnd, GaugeSample, JointFrontEnd, JointSample};
+//! use palpus_firmware::{Board, BoardConfig, store::RamStore};
+//! use palpus_protocol::{BoardMessage, Decoder, TipGeometry};
+//!
+//! struct Gauges;
+//! impl GaugeFrontEnd for Gauges {
+//!     fn gauges(&self) -> usize {
+//!         6
+//!     }
+//!     fn sample(&mut self, now_us: u64) -> GaugeSample {
+//!         GaugeSample::missing(now_us)
+//!     }
+//! }
+//!
+//! struct Joints;
+//! impl JointFrontEnd for Joints {
+//!     fn sample(&mut self, _: u64) -> JointSample {
+//!         JointSample::default()
+//!     }
+//! }
+//!
+//! let tip = TipGeometry { semi_axes_mm: [20.0; 3], centre_offset_mm: [0.0, 0.0, 35.0] };
+//! let config = BoardConfig::new(*b"demo board 1", 0, "thumb", tip);
+//! let mut board = Board::new(config, Gauges, Joints, RamStore::new(), 0)?;
+//! board.tick(5000);
+//!
+//! // The first thing a board says is who it is.
+//! let mut decoder = Decoder::new();
+//! let frame = board.take_frame(5000).unwrap_or_default().to_vec();
+//! for byte in frame {
+//!     if let Some(frame) = decoder.push(byte) {
+//!         assert!(matches!(BoardMessage::try_from(frame?)?, BoardMessage::Identity(_)));
+//!     }
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 #![no_std]
 #![forbid(unsafe_code)]

@@ -1,7 +1,8 @@
 //! A queue that never refuses: when it is full the oldest entry goes, and is counted.
 //!
-//! For a surface the newest contact is worth most, and a host that has stalled for ten seconds wants to know where the finger is, not where
-//! it was. So the sampling side never waits and never fails, and what was lost is a number in the statistics and a gap in the sequence.
+//! For a surface the newest contact is worth most, and a host that has stalled for ten seconds
+//! wants to know where the finger is, not where it was. So the sampling side never waits and never
+//! fails, and what was lost is a number in the statistics and a gap in the sequence.
 
 use heapless::Deque;
 

@@ -1,4 +1,5 @@
-//! One period: read, judge, tare, calibrate, solve, validate, encode, queue; and the clock's honesty about it.
+//! One period: read, judge, tare, calibrate, solve, validate, encode, queue; and the clock's
+//! honesty about it.
 
 use crate::board::Board;
 use crate::commands::PendingReply;
@@ -290,10 +291,9 @@ impl<G: GaugeFrontEnd, J: JointFrontEnd, S: CalibrationStore> Board<G, J, S> {
             flags.insert(ContactFlags::LATE_SAMPLE);
         }
         let contact = self.sense(&sample, &tared, all_gauges, &joints, flags);
-        self.sampling.tare.follow(
-            &tared,
-            all_gauges.is_good() && !self.sampling.gate.is_loaded(),
-        );
+        // Without a calibration nobody knows whether the tip is free.
+        let free = self.matrix.is_some() && all_gauges.is_good() && !self.sampling.gate.is_loaded();
+        self.sampling.tare.follow(&tared, free);
 
         if is_due(self.streams.contact_every, &mut self.sampling.until_contact) {
             self.queue_contact(&contact);
@@ -313,7 +313,8 @@ impl<G: GaugeFrontEnd, J: JointFrontEnd, S: CalibrationStore> Board<G, J, S> {
             .max(u32::try_from(took).unwrap_or(u32::MAX));
     }
 
-    /// Tells of gauges that went bad, of all being good again, and of chips found reset. A gauge that stays bad is told once.
+    /// Tells of gauges that went bad, of all being good again, and of chips found reset. A gauge
+    /// that stays bad is told once.
     fn note_faults(&mut self, flags: &[GaugeFlags; MAX_GAUGES], now_us: u64) {
         let was_faulty = self.sampling.faulty.iter().any(|flags| !flags.is_good());
         for gauge in 0..self.sampling.gauges {
@@ -452,7 +453,8 @@ impl<G: GaugeFrontEnd, J: JointFrontEnd, S: CalibrationStore> Board<G, J, S> {
             }
             Some(_) => sampling.gate.lose_contact(),
         }
-        // Without a solution the fields say nothing, in a form that any reader can print; the flags say why.
+        // Without a solution the fields say nothing, in a form that any reader can print; the flags
+        // say why.
         let (solved, sigma_mm) = solution.unwrap_or((ContactSolution::NONE, 0.0));
         Contact {
             sequence: self.counters.contacts % CONTACT_SEQUENCE_MODULUS,
@@ -462,7 +464,8 @@ impl<G: GaugeFrontEnd, J: JointFrontEnd, S: CalibrationStore> Board<G, J, S> {
             normal_force_n: solved.normal_force_n,
             tangential_force_n: solved.tangential_force_n,
             spin_n_mm: solved.spin_n_mm,
-            // A sigma beyond 65 mm says no more than 65 mm, and must not count as clipped: a free tip has it all the time.
+            // A sigma beyond 65 mm says no more than 65 mm, and must not count as clipped: a free
+            // tip has it all the time.
             sigma_mm: if sigma_mm < 65.0 { sigma_mm } else { 65.0 },
             joint_angles_rad: joints.angles_rad,
             flags,

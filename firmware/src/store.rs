@@ -1,7 +1,9 @@
-//! The calibration's place in memory that outlives the power: two slots, a check sum, and a fallback.
+//! The calibration's place in memory that outlives the power: two slots, a check sum, and a
+//! fallback.
 //!
-//! A new calibration goes into the slot that does not hold the newest one, so the last good one survives a power cut at any moment of the
-//! write. Each record carries a generation number; the highest intact one is loaded. The check sum is written last and is read back.
+//! A new calibration goes into the slot that does not hold the newest one, so the last good one
+//! survives a power cut at any moment of the write. Each record carries a generation number; the
+//! highest intact one is loaded. The check sum is written last and is read back.
 //!
 //! ```text
 //! offset  0      4           8       10                   10 + length   252
@@ -48,7 +50,8 @@ pub trait CalibrationStore {
     /// Copies a slot (0 or 1); memory that was never written reads as anything.
     fn read(&mut self, slot: usize) -> [u8; RECORD_BYTES];
 
-    /// Erases a slot and writes the record, its last four bytes last. May take as long as an erase does; never called while streaming.
+    /// Erases a slot and writes the record, its last four bytes last. May take as long as an erase
+    /// does; never called while streaming.
     fn write(&mut self, slot: usize, record: &[u8; RECORD_BYTES]) -> Result<(), StoreError>;
 }
 

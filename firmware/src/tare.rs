@@ -1,20 +1,24 @@
 //! The zero of every gauge: taken on command, followed while nothing is touched.
 //!
-//! Drift of the zero is the largest error of such a sensor: 50 mN of bias cost 5 mm at 0.5 N. So a tare is taken over many periods, is
-//! refused when the readings have not settled, and is then followed, slowly, whenever the tip has been free for a while. How far it has
-//! gone since is in the statistics.
+//! Drift of the zero is the largest error of such a sensor: 50 mN of bias cost 5 mm at 0.5 N. So a
+//! tare is taken over many periods, is refused when the readings have not settled, and is then
+//! followed, slowly, whenever the tip has been free for a while. How far it has gone since is in
+//! the statistics.
 //!
-//! Following is limited in rate, not only filtered: a light touch that grows slower than the limit would otherwise be taken for drift. The limit is a fifth
-//! of the noise a second (3 mN/s at 15 mN of noise), ten times a bad warm-up drift and a hundredth of the slowest approach of a finger.
+//! Following is limited in rate, not only filtered: a light touch that grows slower than the limit
+//! would otherwise be taken for drift. The limit is a fifth of the noise a second (3 mN/s at 15 mN
+//! of noise), ten times a bad warm-up drift and a hundredth of the slowest approach of a finger.
 
 use heapless::Vec;
 use palpus_protocol::{MAX_GAUGES, Refusal, TareRequest, Tared};
 
 /// Most periods a tare may average over.
 pub const MAX_TARE_SAMPLES: u16 = 2000;
-/// Rounds of averaging before a tare that does not settle is given up: creep after a release dies away within seconds.
+/// Rounds of averaging before a tare that does not settle is given up: creep after a release dies
+/// away within seconds.
 const ROUNDS: u8 = 3;
-/// The tip must be free this long before the zero is followed, us: what the gauges need to recover from a load.
+/// The tip must be free this long before the zero is followed, us: what the gauges need to recover
+/// from a load.
 const FREE_BEFORE_FOLLOWING_US: u32 = 250_000;
 /// Time constant of following, s.
 const FOLLOW_TIME_S: f32 = 5.0;
@@ -45,7 +49,8 @@ struct Round {
     periods: u32,
     taken: u16,
     bad: [u32; MAX_GAUGES],
-    /// First reading of the round; sums are of the differences to it, exact in integers (24-bit counts, 2000 periods).
+    /// First reading of the round; sums are of the differences to it, exact in integers (24-bit
+    /// counts, 2000 periods).
     reference: [i32; MAX_GAUGES],
     first_half: [i64; MAX_GAUGES],
     sum: [i64; MAX_GAUGES],
@@ -73,7 +78,8 @@ impl Round {
             self.reference = *counts;
         }
         for gauge in 0..self.gauges {
-            // Counts of more than 24 bits would overflow the squares; no bridge converter has them, and saturating keeps the arithmetic whole.
+            // Counts of more than 24 bits would overflow the squares; no bridge converter has them,
+            // and saturating keeps the arithmetic whole.
             let limit = 1 << 25;
             let difference =
                 (i64::from(counts[gauge]) - i64::from(self.reference[gauge])).clamp(-limit, limit);
@@ -96,8 +102,9 @@ impl Round {
 
     /// Whether the halves of the round agree.
     ///
-    /// With noise alone their difference is 2 / sqrt(n) standard deviations; a steady slope makes it 1.7 and a step in the middle 2, whatever their
-    /// size. The limit lies between, three and more deviations above chance; with fewer than 32 readings the two can't be told apart.
+    /// With noise alone their difference is 2 / sqrt(n) standard deviations; a steady slope makes
+    /// it 1.7 and a step in the middle 2, whatever their size. The limit lies between, three and
+    /// more deviations above chance; with fewer than 32 readings the two can't be told apart.
     fn has_settled(&self) -> bool {
         let n = f32::from(self.taken);
         let half = f32::from(self.request.samples / 2);
@@ -119,7 +126,8 @@ pub struct Tare {
     gauges: usize,
     period_us: u32,
     taken: bool,
-    /// Offset is `base + fine`: the base holds the 24 bits, so that small steps are not lost in `f32`.
+    /// Offset is `base + fine`: the base holds the 24 bits, so that small steps are not lost in
+    /// `f32`.
     base: [i32; MAX_GAUGES],
     fine: [f32; MAX_GAUGES],
     fine_when_taken: [f32; MAX_GAUGES],
@@ -150,7 +158,8 @@ impl Tare {
         }
     }
 
-    /// Noise of each gauge below which it is taken to be this large, counts: what the expected noise of the wrench comes to.
+    /// Noise of each gauge below which it is taken to be this large, counts: what the expected
+    /// noise of the wrench comes to.
     pub fn set_noise_floor(&mut self, floor_counts: &[f32; MAX_GAUGES]) {
         self.noise_floor = floor_counts.map(|floor| floor.max(1.0));
     }
@@ -218,7 +227,8 @@ impl Tare {
         }
     }
 
-    /// Takes one period's counts; `good` says which gauges may be used. A period with a bad gauge is left out.
+    /// Takes one period's counts; `good` says which gauges may be used. A period with a bad gauge
+    /// is left out.
     pub fn advance(
         &mut self,
         counts: &[i32; MAX_GAUGES],
@@ -288,7 +298,8 @@ impl Tare {
         })
     }
 
-    /// Follows the zero for one period if the tip has been free for a while; `free` is whether it is now, with all gauges good.
+    /// Follows the zero for one period if the tip has been free for a while; `free` is whether it
+    /// is now, with all gauges good.
     pub fn follow(&mut self, tared: &[f32; MAX_GAUGES], free: bool) {
         if !free || !self.taken || self.round.is_some() {
             self.free_for_us = 0;
@@ -332,7 +343,8 @@ mod tests {
         TareRequest { samples, force }
     }
 
-    /// Runs a tare over what `reading` gives for each period; returns its end and the number of periods.
+    /// Runs a tare over what `reading` gives for each period; returns its end and the number of
+    /// periods.
     fn run(
         tare: &mut Tare,
         request: TareRequest,

@@ -1,13 +1,16 @@
-//! Measures what the link promises: damages millions of frames in every way a line can, and prints what came of them.
+//! Measures what the link promises: damages millions of frames in every way a line can, and prints
+//! what came of them.
 //!
 //! ```text
 //! cargo run --release -p palpus-protocol --example link_promises [damaged frames per fault]
 //! ```
 //!
-//! Every damaged frame is followed by clean ones. "wrong" counts frames that were accepted with other contents than were sent; the promise is none.
-//! "16 bits" counts damaged frames whose check sum would have passed if only its low 16 bits were compared: about one in 65 536 of those that are damaged
-//! at random, which shows that the check sum does its work and what a CRC-16 would have let through. "recovery" is the largest
-//! number of clean frames lost after a damaged one; the promise is one at most. Ends with status 1 if a promise is broken.
+//! Every damaged frame is followed by clean ones. "wrong" counts frames that were accepted with
+//! other contents than were sent; the promise is none. "16 bits" counts damaged frames whose check
+//! sum would have passed if only its low 16 bits were compared: about one in 65 536 of those that
+//! are damaged at random, which shows that the check sum does its work and what a CRC-16 would have
+//! let through. "recovery" is the largest number of clean frames lost after a damaged one; the
+//! promise is one at most. Ends with status 1 if a promise is broken.
 
 use palpus_protocol::{
     BoardMessage, CRC, CRC_BYTES, Contact, ContactFlags, DELIMITER, Decoder, ENVELOPE_BYTES,
@@ -129,7 +132,8 @@ fn flip_bits(random: &mut Random, frame: &mut [u8], bits: usize) {
     }
 }
 
-/// Whether other contents than `sent` have a check sum whose low 16 bits agree (`bytes` as they stand between two delimiters).
+/// Whether other contents than `sent` have a check sum whose low 16 bits agree (`bytes` as they
+/// stand between two delimiters).
 fn sixteen_bits_agree(bytes: &[u8], sent: &[u8]) -> bool {
     let mut bytes = bytes.to_vec();
     let Ok(length) = cobs::decode_in_place(&mut bytes) else {
@@ -180,7 +184,8 @@ fn measure(fault: Fault, frames: u64, seed: u64) -> Counts {
         for part in damaged.split(|&byte| byte == DELIMITER) {
             counts.sixteen_bits += u64::from(sixteen_bits_agree(part, &expected));
         }
-        // A fault that only adds a delimiter in front leaves the frame whole: accepted, and rightly so.
+        // A fault that only adds a delimiter in front leaves the frame whole: accepted, and rightly
+        // so.
         let check =
             |decoder: &mut Decoder, bytes: &[u8], expected: &[Vec<u8>], counts: &mut Counts| {
                 let mut found = 0u64;

@@ -10,7 +10,8 @@ pub const MAX_GAUGES: usize = 8;
 pub const GAUGES_PER_PAGE: usize = 4;
 
 wire_struct! {
-    /// Shape and place of the finger tip, in sensor coordinates: an ellipsoid (a sphere when the semi-axes agree).
+    /// Shape and place of the finger tip, in sensor coordinates: an ellipsoid (a sphere when the
+    /// semi-axes agree).
     #[derive(Copy)]
     pub struct TipGeometry {
         /// Semi-axes along x, y, z, mm.
@@ -21,10 +22,11 @@ wire_struct! {
 }
 
 wire_struct! {
-    /// Who the board is. **Frozen**: every protocol version keeps these fields in this order and may only append, so that two
-    /// sides of different versions still know whom they talk to.
+    /// Who the board is. **Frozen**: every protocol version keeps these fields in this order and
+    /// may only append, so that two sides of different versions still know whom they talk to.
     pub struct Identity {
-        /// The [`Identify`](crate::Identify) this answers; 0 when the board speaks unasked, as it does when it starts.
+        /// The [`Identify`](crate::Identify) this answers; 0 when the board speaks unasked, as it
+        /// does when it starts.
         pub request_id: u32,
         /// Unique number of the board (on the STM32 its 96-bit device id).
         pub board_id: [u8; 12],
@@ -133,7 +135,8 @@ wire_struct! {
 wire_struct! {
     /// All gauges in one period, before calibration.
     pub struct RawGauges {
-        /// Counts the raw frames the board has made since it started, sent or dropped. A contact of the same sample has the same time.
+        /// Counts the raw frames the board has made since it started, sent or dropped. A contact of
+        /// the same sample has the same time.
         pub sequence: u32,
         /// Time of the sample, us since the board started.
         pub board_time_us: u64,
@@ -143,7 +146,8 @@ wire_struct! {
 }
 
 wire_struct! {
-    /// What the board has counted since it started. Counters wrap at 2^32; high-water marks and extremes are since start.
+    /// What the board has counted since it started. Counters wrap at 2^32; high-water marks and
+    /// extremes are since start.
     #[derive(Copy, Default)]
     pub struct Statistics {
         /// The request this answers.
@@ -156,11 +160,13 @@ wire_struct! {
         pub ticks: u32,
         /// Measured sampling rate over about the last second, mHz.
         pub rate_millihertz: u32,
-        /// Root mean square of the deviation of a period from its nominal length over about the last second, us.
+        /// Root mean square of the deviation of a period from its nominal length over about the
+        /// last second, us.
         pub jitter_rms_us: u32,
         /// Largest such deviation since start, us.
         pub jitter_max_us: u32,
-        /// Longest time from the start of a tick to its end, us; 0 when the board does not measure it.
+        /// Longest time from the start of a tick to its end, us; 0 when the board does not measure
+        /// it.
         pub tick_max_us: u32,
         /// Periods that passed without a sample.
         pub overruns: u32,
@@ -192,7 +198,8 @@ wire_struct! {
         pub frames_received: u32,
         /// Frames received with a bad check sum, bad stuffing or a bad length.
         pub frames_bad: u32,
-        /// Whole frames that could not be acted on: unknown kind, other version or schema, unreadable body.
+        /// Whole frames that could not be acted on: unknown kind, other version or schema,
+        /// unreadable body.
         pub frames_refused: u32,
         /// Requests that repeated an id already answered.
         pub requests_repeated: u32,
@@ -229,7 +236,8 @@ wire_struct! {
 }
 
 wire_struct! {
-    /// Statistics of up to four gauges; as many pages follow a [`Statistics`] as its gauge count needs.
+    /// Statistics of up to four gauges; as many pages follow a [`Statistics`] as its gauge count
+    /// needs.
     pub struct GaugeStatistics {
         /// The request this answers.
         pub request_id: u32,

@@ -1,8 +1,9 @@
 //! What a host asks of a board, and what the board answers.
 //!
-//! Every request carries an id chosen by the host. A board that sees an id again within its last few requests does not act
-//! again: it repeats its answer. A host may therefore send a request as often as it likes until the answer comes. Ids must
-//! differ between requests; start from a random number, since a board outlives a host's run. Id 0 is never used.
+//! Every request carries an id chosen by the host. A board that sees an id again within its last
+//! few requests does not act again: it repeats its answer. A host may therefore send a request as
+//! often as it likes until the answer comes. Ids must differ between requests; start from a random
+//! number, since a board outlives a host's run. Id 0 is never used.
 
 use crate::CRC;
 use crate::board::MAX_GAUGES;
@@ -13,7 +14,8 @@ use heapless::Vec;
 pub const WRENCH_AXES: usize = 6;
 
 wire_struct! {
-    /// Asks who the board is. **Frozen** like [`Identity`](crate::Identity): answered whatever the versions of the two sides.
+    /// Asks who the board is. **Frozen** like [`Identity`](crate::Identity): answered whatever the
+    /// versions of the two sides.
     #[derive(Copy, Eq)]
     pub struct Identify {
         /// Id of the request.
@@ -48,7 +50,8 @@ wire_enum! {
         SetCalibration(Calibration),
         /// Compare clocks.
         TimeSync(TimeSyncRequest),
-        /// Send [`Statistics`](crate::Statistics) and the pages of [`GaugeStatistics`](crate::GaugeStatistics).
+        /// Send [`Statistics`](crate::Statistics) and the pages of
+        /// [`GaugeStatistics`](crate::GaugeStatistics).
         Statistics,
     }
 }
@@ -85,7 +88,8 @@ wire_struct! {
 }
 
 wire_struct! {
-    /// Gauge counts to wrench: force in N and moment in N mm at the sensor's origin, per tared count.
+    /// Gauge counts to wrench: force in N and moment in N mm at the sensor's origin, per tared
+    /// count.
     pub struct Calibration {
         /// Id chosen by whoever calibrated, not 0.
         pub id: u32,
@@ -233,8 +237,8 @@ wire_enum! {
 }
 
 wire_struct! {
-    /// Second half of a clock comparison: with the host's receive time t4, offset = ((t2 - t1) + (t3 - t4)) / 2 and
-    /// round trip = (t4 - t1) - (t3 - t2).
+    /// Second half of a clock comparison: with the host's receive time t4, offset = ((t2 - t1) +
+    /// (t3 - t4)) / 2 and round trip = (t4 - t1) - (t3 - t2).
     #[derive(Copy, Eq)]
     pub struct TimeSyncAnswer {
         /// t1: host time of the request, as it was sent.
@@ -259,13 +263,15 @@ wire_enum! {
         SampleCount,
         /// This gauge gave no good reading while taring: see the statistics.
         GaugeFaulty(u8),
-        /// The readings did not settle (the load changed meanwhile): keep the tip free and still, then try again.
+        /// The readings did not settle (the load changed meanwhile): keep the tip free and still,
+        /// then try again.
         Unsettled,
         /// There is no calibration to send.
         NoCalibration,
         /// The calibration's check sum is wrong: send it again.
         CalibrationCrc,
-        /// The calibration is for another number of gauges, or its matrix is not 6 rows: this is the board's number of gauges.
+        /// The calibration is for another number of gauges, or its matrix is not 6 rows: this is
+        /// the board's number of gauges.
         CalibrationShape(u8),
         /// The calibration holds a value that is not finite, or the id 0.
         CalibrationValue,

@@ -1,7 +1,8 @@
 //! One contact: what the finger tip felt in one period, and how it is packed into 37 bytes.
 //!
-//! The fields are fixed-point, little-endian and at fixed offsets, so that a contact has one size and a decoder in any
-//! language is a few lines. Resolutions stay far below the sensing errors (0.5 mm and 3 degrees):
+//! The fields are fixed-point, little-endian and at fixed offsets, so that a contact has one size
+//! and a decoder in any language is a few lines. Resolutions stay far below the sensing errors (0.5
+//! mm and 3 degrees):
 //!
 //! | offset | bytes | field | unit on the wire | range | rounding error |
 //! |---|---|---|---|---|---|
@@ -16,8 +17,8 @@
 //! | 26 | 8 | three joint angles, 21 bits each, bit 63 zero | 1e-5 rad, signed | +-10.4 rad | 5e-6 rad |
 //! | 34 | 3 | status flags | bits of [`ContactFlags`] | | |
 //!
-//! The normal could be had from the point and the tip's shape. It is sent all the same: a contact then means something
-//! without the identity that came before it, and 4 bytes were to spare.
+//! The normal could be had from the point and the tip's shape. It is sent all the same: a contact
+//! then means something without the identity that came before it, and 4 bytes were to spare.
 
 use crate::wire::{Wire, wire_struct};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -30,22 +31,26 @@ pub const CONTACT_SEQUENCE_MODULUS: u32 = 1 << 24;
 
 /// Microns per step of a packed point coordinate.
 const POINT_STEP_UM: f32 = 2.0;
-/// Steps of a packed joint angle per radian. All of this stays within the 24 bits of an `f32`, since a board has no `f64`.
+/// Steps of a packed joint angle per radian. All of this stays within the 24 bits of an `f32`,
+/// since a board has no `f64`.
 const ANGLE_STEPS_PER_RAD: f32 = 1e5;
 /// Largest packed joint angle, in steps (21 bits, two's complement).
 const ANGLE_LIMIT: f32 = ((1 << 20) - 1) as f32;
 
 /// Status of a contact as bits: the reasons why it is not valid, and remarks that leave it valid.
 ///
-/// The packed form has 24 bits. Bits 0 to 15 each make the contact invalid; bits 16 to 23 are remarks.
+/// The packed form has 24 bits. Bits 0 to 15 each make the contact invalid; bits 16 to 23 are
+/// remarks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ContactFlags(u32);
 
 impl ContactFlags {
-    /// Nothing touches, or too lightly: the force is below the one at which the point's sigma reaches 0.5 mm.
+    /// Nothing touches, or too lightly: the force is below the one at which the point's sigma
+    /// reaches 0.5 mm.
     pub const BELOW_FORCE_THRESHOLD: Self = Self(1 << 0);
-    /// The wrench's line of force misses the tip by more than noise explains: more than one contact, or a touch beside the tip.
+    /// The wrench's line of force misses the tip by more than noise explains: more than one
+    /// contact, or a touch beside the tip.
     pub const LINE_MISSES_TIP: Self = Self(1 << 1);
     /// Tangential over normal force is above the limit.
     pub const FRICTION_LIMIT: Self = Self(1 << 2);
@@ -75,7 +80,8 @@ impl ContactFlags {
     pub const CLIPPED: Self = Self(1 << 14);
     /// A joint angle is older than one period.
     pub const JOINT_LATE: Self = Self(1 << 15);
-    /// Remark: this sample was taken later than its period allows, or periods before it were skipped.
+    /// Remark: this sample was taken later than its period allows, or periods before it were
+    /// skipped.
     pub const LATE_SAMPLE: Self = Self(1 << 16);
     /// Remark: the tare has drifted further than expected while nothing was touched.
     pub const TARE_DRIFTED: Self = Self(1 << 17);
@@ -161,15 +167,17 @@ impl ContactFlags {
     }
 }
 
-/// One contact, in tip coordinates: origin at the tip's centre, z along the finger away from the sensor.
+/// One contact, in tip coordinates: origin at the tip's centre, z along the finger away from the
+/// sensor.
 ///
 /// Forces are those of the object on the tip. Encoding rounds to the steps in the module's table.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
-    /// Counts every contact the board has made since it started, sent or dropped, modulo [`CONTACT_SEQUENCE_MODULUS`]; a gap is exactly the
-    /// number lost ([`Contact::lost_since`]).
+    /// Counts every contact the board has made since it started, sent or dropped, modulo
+    /// [`CONTACT_SEQUENCE_MODULUS`]; a gap is exactly the number lost ([`Contact::lost_since`]).
     pub sequence: u32,
-    /// Time of the sample on the board's clock, us since start, modulo [`CONTACT_TIME_MODULUS_US`]; widen with [`Contact::widen_time_us`].
+    /// Time of the sample on the board's clock, us since start, modulo [`CONTACT_TIME_MODULUS_US`];
+    /// widen with [`Contact::widen_time_us`].
     pub board_time_us: u64,
     /// Contact point on the tip's surface, from the tip's centre, mm.
     pub point_mm: [f32; 3],
@@ -195,14 +203,17 @@ impl Contact {
         self.flags.is_valid()
     }
 
-    /// Contacts made and not received between the one numbered `previous` and this one; exact up to 23 hours of silence at 200 Hz.
+    /// Contacts made and not received between the one numbered `previous` and this one; exact up to
+    /// 23 hours of silence at 200 Hz.
     pub const fn lost_since(&self, previous: u32) -> u32 {
         self.sequence.wrapping_sub(previous).wrapping_sub(1) % CONTACT_SEQUENCE_MODULUS
     }
 
-    /// The full board time nearest to `reference_us` that agrees with this contact's time modulo 2^40 us.
+    /// The full board time nearest to `reference_us` that agrees with this contact's time modulo
+    /// 2^40 us.
     ///
-    /// `reference_us` is any full board time within 6 days of the contact, such as the last time-sync answer.
+    /// `reference_us` is any full board time within 6 days of the contact, such as the last
+    /// time-sync answer.
     pub const fn widen_time_us(&self, reference_us: u64) -> u64 {
         let half = CONTACT_TIME_MODULUS_US / 2;
         let low = self.board_time_us % CONTACT_TIME_MODULUS_US;
@@ -236,7 +247,8 @@ wire_struct! {
     }
 }
 
-/// Rounds to the nearest integer, halves away from zero, and clips; notes in `clipped` what did not fit.
+/// Rounds to the nearest integer, halves away from zero, and clips; notes in `clipped` what did not
+/// fit.
 fn to_i16(value: f32, clipped: &mut bool) -> [u8; 2] {
     let limit = f32::from(i16::MAX);
     // A NaN is in no range, so it is noted; the cast makes it 0.
@@ -251,7 +263,8 @@ fn to_i16(value: f32, clipped: &mut bool) -> [u8; 2] {
     (rounded.clamp(-limit, limit) as i16).to_le_bytes()
 }
 
-/// As [`to_i16`] for quantities that are never negative; values down to minus one step are rounding and pass as 0.
+/// As [`to_i16`] for quantities that are never negative; values down to minus one step are rounding
+/// and pass as 0.
 fn to_u16(value: f32, clipped: &mut bool) -> [u8; 2] {
     let limit = f32::from(u16::MAX);
     if !(-1.0..=limit).contains(&value) {
@@ -275,7 +288,8 @@ fn to_angle(angle_rad: f32, clipped: &mut bool) -> u32 {
     rounded.cast_unsigned() & 0x001f_ffff
 }
 
-/// Folds a unit vector onto the octahedron and that onto the square [-1, 1]^2 (Meyer et al. 2010, "On floating-point normal vectors").
+/// Folds a unit vector onto the octahedron and that onto the square [-1, 1]^2 (Meyer et al. 2010,
+/// "On floating-point normal vectors").
 fn to_octahedral([x, y, z]: [f32; 3]) -> [f32; 2] {
     let sum = x.abs() + y.abs() + z.abs();
     let (u, v) = (x / sum, y / sum);

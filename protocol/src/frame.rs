@@ -5,22 +5,29 @@
 //! 1      1        2, LE       1      0 to MAX_BODY     4, LE          + 1 byte per 254       1
 //! ```
 //!
-//! The envelope and the check sum are the same in every version. A frame of another version or schema is still known as such,
-//! and [`Identify`](crate::Identify) and [`Identity`](crate::Identity) are read all the same.
+//! The envelope and the check sum are the same in every version. A frame of another version or
+//! schema is still known as such, and [`Identify`](crate::Identify) and
+//! [`Identity`](crate::Identity) are read all the same.
 //!
-//! **Why CRC-32C.** A CRC-16 lets one in 65 536 damaged frames pass; at 200 Hz and one damaged frame in a hundred that is one
-//! false contact in nine hours, which no surface needs. CRC-32 costs two bytes more and makes it one in 4.3e9 (68 years). Of the 32-bit
-//! polynomials Castagnoli's keeps Hamming distance 6 up to 5243 bits, longer than any frame here, where Ethernet's
-//! has 5 at that of a contact and 4 beyond 2974 bits (Koopman, "32-bit cyclic redundancy codes for internet applications", 2002).
+//! **Why CRC-32C.** A CRC-16 lets one in 65 536 damaged frames pass; at 200 Hz and one damaged
+//! frame in a hundred that is one false contact in nine hours, which no surface needs. CRC-32 costs
+//! two bytes more and makes it one in 4.3e9 (68 years). Of the 32-bit polynomials Castagnoli's
+//! keeps Hamming distance 6 up to 5243 bits, longer than any frame here, where Ethernet's has 5 at
+//! that of a contact and 4 beyond 2974 bits (Koopman, "32-bit cyclic redundancy codes for internet
+//! applications", 2002).
 //!
-//! **What remains.** A damaged frame passes with a chance of 2^-32 = 2.3e-10: at 200 Hz and one damaged frame in a hundred, one false frame in 68 years. Damage
-//! that reaches the envelope must also hit magic, version and tag, 2^-32 again. The check sum is over the bytes before stuffing, so a bit flipped in
-//! a stuffing byte moves others, and the distance above holds for flips that leave the stuffing alone. Measured (`cargo run --release -p palpus-protocol
-//! --example link_promises`): of 11 million frames damaged in eleven ways (flipped bits, bursts, dropped, doubled and swapped bytes, cuts, noise)
-//! none was accepted with other contents than were sent, and never more than one clean frame was lost after a damaged one; 33 would have passed with 16 bits.
+//! **What remains.** A damaged frame passes with a chance of 2^-32 = 2.3e-10: at 200 Hz and one
+//! damaged frame in a hundred, one false frame in 68 years. Damage that reaches the envelope must
+//! also hit magic, version and tag, 2^-32 again. The check sum is over the bytes before stuffing,
+//! so a bit flipped in a stuffing byte moves others, and the distance above holds for flips that
+//! leave the stuffing alone. Measured (`cargo run --release -p palpus-protocol --example
+//! link_promises`): of 11 million frames damaged in eleven ways (flipped bits, bursts, dropped,
+//! doubled and swapped bytes, cuts, noise) none was accepted with other contents than were sent,
+//! and never more than one clean frame was lost after a damaged one; 33 would have passed with 16
+//! bits.
 //!
-//! **Why not more.** Forward error correction and retransmission of contacts were left out: a contact 5 ms late is worth less than the next one,
-//! and every loss is counted by sequence number.
+//! **Why not more.** Forward error correction and retransmission of contacts were left out: a
+//! contact 5 ms late is worth less than the next one, and every loss is counted by sequence number.
 
 use crate::message::is_frozen;
 use crate::wire::Wire;
@@ -40,7 +47,8 @@ pub const MAX_RAW_BYTES: usize = ENVELOPE_BYTES + crate::MAX_BODY_BYTES + CRC_BY
 /// Largest frame on the wire, stuffing and delimiter included.
 pub const MAX_FRAME_BYTES: usize = wire_bytes(crate::MAX_BODY_BYTES);
 
-/// Bytes on the wire of a frame with a body of `body_bytes`, at most: one stuffing byte per 254, and the delimiter.
+/// Bytes on the wire of a frame with a body of `body_bytes`, at most: one stuffing byte per 254,
+/// and the delimiter.
 pub const fn wire_bytes(body_bytes: usize) -> usize {
     let raw = ENVELOPE_BYTES + body_bytes + CRC_BYTES;
     raw + raw.div_ceil(254) + 1
@@ -151,8 +159,9 @@ impl core::error::Error for MessageError {}
 
 /// Writes one frame; see [`BoardMessage::encode`](crate::BoardMessage::encode).
 ///
-/// Everything happens in `out`: the frame before stuffing stands from byte 1 on, and is then stuffed where it stands. That works because a
-/// frame has fewer than 254 bytes ([`MAX_RAW_BYTES`], asserted), so that stuffing puts one byte in front and only changes zeros.
+/// Everything happens in `out`: the frame before stuffing stands from byte 1 on, and is then
+/// stuffed where it stands. That works because a frame has fewer than 254 bytes ([`MAX_RAW_BYTES`],
+/// asserted), so that stuffing puts one byte in front and only changes zeros.
 pub(crate) fn encode_body<T: Serialize>(
     kind: u8,
     body: &T,
@@ -170,8 +179,8 @@ pub(crate) fn encode_body<T: Serialize>(
     let frame = out.get_mut(..=end).ok_or(EncodeError::BufferTooSmall)?;
     let crc = CRC.checksum(&frame[1..crc_at]);
     frame[crc_at..end].copy_from_slice(&crc.to_le_bytes());
-    // Consistent overhead byte stuffing (Cheshire and Baker 1999): every zero becomes the distance to the next one, counted from the
-    // byte in front; the delimiter is the last.
+    // Consistent overhead byte stuffing (Cheshire and Baker 1999): every zero becomes the distance
+    // to the next one, counted from the byte in front; the delimiter is the last.
     frame[end] = DELIMITER;
     let mut distance = 0;
     for byte in frame[..end].iter_mut().rev() {
@@ -249,7 +258,8 @@ impl<'a> Frame<'a> {
         }
         let (message, rest) =
             postcard::take_from_bytes(self.body).map_err(|_| MessageError::Body { kind })?;
-        // A later version may have appended fields to a frozen message; nothing else may have bytes to spare.
+        // A later version may have appended fields to a frozen message; nothing else may have bytes
+        // to spare.
         if rest.is_empty() || frozen {
             Ok(message)
         } else {
@@ -290,8 +300,8 @@ impl DecoderCounters {
 
 /// Finds frames in a stream of bytes.
 ///
-/// It holds one frame and allocates nothing. Any garbage costs at most the frame it runs into: the delimiter occurs nowhere inside
-/// a frame, so the next one starts clean.
+/// It holds one frame and allocates nothing. Any garbage costs at most the frame it runs into: the
+/// delimiter occurs nowhere inside a frame, so the next one starts clean.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     buffer: [u8; MAX_FRAME_BYTES],
@@ -327,7 +337,8 @@ impl Decoder {
 
     /// Takes one byte; returns a frame, or the damage found, when the byte ends one.
     ///
-    /// Nothing between two delimiters is no frame and no error, so that a sender may lead with a delimiter.
+    /// Nothing between two delimiters is no frame and no error, so that a sender may lead with a
+    /// delimiter.
     pub fn push(&mut self, byte: u8) -> Option<Result<Frame<'_>, FrameError>> {
         self.counters.bytes = self.counters.bytes.wrapping_add(1);
         if byte != DELIMITER {

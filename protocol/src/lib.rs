@@ -2,10 +2,12 @@
 //!
 //! # The line
 //!
-//! 8-N-1 serial, 115 200 Bd or more, so ten bits a byte. A contact frame is 48 bytes on the wire, whatever its values:
-//! 5 envelope + 37 contact + 4 check sum + 1 stuffing + 1 delimiter. At 200 Hz that is 96 000 Bd, 83 % of 115 200 Bd; the remaining 1 920 bytes a second
-//! carry time sync (an answer is at most 47 bytes), statistics (500 bytes for eight gauges), log lines and, thinned out, raw gauges: every
-//! twentieth period for eight gauges is 1 150 bytes a second. At 921 600 Bd the same frames go at 1 kHz (52 %).
+//! 8-N-1 serial, 115 200 Bd or more, so ten bits a byte. A contact frame is 48 bytes on the wire,
+//! whatever its values: 5 envelope + 37 contact + 4 check sum + 1 stuffing + 1 delimiter. At 200 Hz
+//! that is 96 000 Bd, 83 % of 115 200 Bd; the remaining 1 920 bytes a second carry time sync (an
+//! answer is at most 47 bytes), statistics (500 bytes for eight gauges), log lines and, thinned
+//! out, raw gauges: every twentieth period for eight gauges is 1 150 bytes a second. At 921 600 Bd
+//! the same frames go at 1 kHz (52 %).
 //!
 //! # Messages
 //!
@@ -45,17 +47,21 @@
 //!
 //! - No damaged frame is taken for a good one, but for one in 2^32 (see [`frame`](crate::Frame)).
 //! - Any garbage costs at most the one frame it runs into.
-//! - Contacts are numbered when they are made, so every one that is lost, on the board or on the way, is counted exactly.
+//! - Contacts are numbered when they are made, so every one that is lost, on the board or on the
+//!   way, is counted exactly.
 //! - Requests carry ids and may be repeated; a board acts once and answers each time.
-//! - Sides of different version or schema know it from the first frame, can still ask who the other is, and the error names both.
+//! - Sides of different version or schema know it from the first frame, can still ask who the other
+//!   is, and the error names both.
 //!
 //! # Wire layout: two ways
 //!
-//! *Self-describing* (CBOR, MessagePack, protobuf): unknown fields are skipped, versions mix freely. A contact takes 80 to 120 bytes, so
-//! 200 Hz would need 230 400 Bd, and the board spends its time on field names. *Positional* (postcard) with a version, a schema tag in each frame and a
-//! frozen pair of messages for saying who one is: half the bytes, and a mismatch is a clear refusal instead of a half-understood message.
-//! The second was taken. Within it, messages that are rare are plain postcard (varints); a contact is fixed-point at fixed offsets, so
-//! that its size, and with it the load of the line, does not depend on what is touched.
+//! *Self-describing* (CBOR, MessagePack, protobuf): unknown fields are skipped, versions mix
+//! freely. A contact takes 80 to 120 bytes, so 200 Hz would need 230 400 Bd, and the board spends
+//! its time on field names. *Positional* (postcard) with a version, a schema tag in each frame and
+//! a frozen pair of messages for saying who one is: half the bytes, and a mismatch is a clear
+//! refusal instead of a half-understood message. The second was taken. Within it, messages that are
+//! rare are plain postcard (varints); a contact is fixed-point at fixed offsets, so that its size,
+//! and with it the load of the line, does not depend on what is touched.
 //!
 //! # Units
 //!
@@ -87,7 +93,8 @@ pub use frame::{
 pub use message::{BoardMessage, HostMessage};
 pub use wire::Wire;
 
-/// Version of the protocol: raised when the meaning of a message changes in a way its definition does not show.
+/// Version of the protocol: raised when the meaning of a message changes in a way its definition
+/// does not show.
 pub const PROTOCOL_VERSION: u8 = 1;
 
 /// Fingerprint of all message definitions of this build.
@@ -112,5 +119,6 @@ pub static CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 // 200 Hz fit 115 200 Bd only while these hold.
 const _: () = assert!(CONTACT_FRAME_BYTES <= 48);
 const _: () = assert!(CONTACT_FRAME_BYTES as u64 * 10 * 200 <= 115_200);
-// Frames of fewer than 254 bytes before stuffing need one stuffing byte, in front, and stay far below the 655 bytes of CRC-32C's distance 6.
+// Frames of fewer than 254 bytes before stuffing need one stuffing byte, in front, and stay far
+// below the 655 bytes of CRC-32C's distance 6.
 const _: () = assert!(MAX_RAW_BYTES < 254);

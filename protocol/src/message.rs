@@ -23,7 +23,8 @@ macro_rules! messages {
         pub enum $name:ident { $( $(#[$variant_meta:meta])* $variant:ident = $kind:literal, )* }
     ) => {
         $(#[$meta])*
-        // A message lives on the stack between a buffer and its reader; boxing would need an allocator.
+        // A message lives on the stack between a buffer and its reader; boxing would need an
+        // allocator.
         #[allow(clippy::large_enum_variant)]
         #[derive(Clone, Debug, PartialEq)]
         pub enum $name {
@@ -69,7 +70,8 @@ macro_rules! messages {
                 match frame.kind {
                     $( $kind => frame.body::<$variant>($kind).map(Self::$variant), )*
                     kind => {
-                        // Another version may have kinds this one does not know: say so rather than "unknown kind".
+                        // Another version may have kinds this one does not know: say so rather than
+                        // "unknown kind".
                         frame.check_version()?;
                         Err(MessageError::UnknownKind(kind))
                     }
@@ -119,7 +121,8 @@ impl HostMessage {
     }
 }
 
-/// Kinds whose layout never changes, so that they are read whatever the version and schema of the sender.
+/// Kinds whose layout never changes, so that they are read whatever the version and schema of the
+/// sender.
 pub(crate) const fn is_frozen(kind: u8) -> bool {
     matches!(kind, 0x01 | 0x81)
 }

@@ -1,18 +1,21 @@
 //! What a message costs on the wire and what its definition hashes to, both known at compile time.
 //!
-//! serde and postcard write the bytes. This file adds the two facts serde does not give a `no_std` program: the largest
-//! encoded size of a type, and a fingerprint of its definition, so that two sides built from different sources notice.
+//! serde and postcard write the bytes. This file adds the two facts serde does not give a `no_std`
+//! program: the largest encoded size of a type, and a fingerprint of its definition, so that two
+//! sides built from different sources notice.
 //!
-//! Two ways were weighed. postcard's own `MaxSize` and `postcard-schema` derive both from the type, at the price of two
-//! derive crates whose fingerprint changes with their version. The macros below define the type, its size and its
-//! fingerprint from the same tokens, so they cannot drift apart, nothing but `core` is involved, and renaming a field or
-//! changing the order of two changes the fingerprint. The second way was taken.
+//! Two ways were weighed. postcard's own `MaxSize` and `postcard-schema` derive both from the type,
+//! at the price of two derive crates whose fingerprint changes with their version. The macros below
+//! define the type, its size and its fingerprint from the same tokens, so they cannot drift apart,
+//! nothing but `core` is involved, and renaming a field or changing the order of two changes the
+//! fingerprint. The second way was taken.
 
 /// A type with a known largest encoding and a fingerprint of its definition.
 pub trait Wire {
     /// Largest number of bytes postcard writes for a value of this type.
     const MAX_BYTES: usize;
-    /// Fingerprint of the definition: names, order and types of the fields, recursively (FNV-1a, 64 bit).
+    /// Fingerprint of the definition: names, order and types of the fields, recursively (FNV-1a, 64
+    /// bit).
     const SCHEMA: u64;
 }
 
@@ -59,7 +62,8 @@ macro_rules! primitive {
     };
 }
 
-// postcard: one byte for 8-bit types and bool, little-endian IEEE for floats, varints (zigzag when signed) for the rest.
+// postcard: one byte for 8-bit types and bool, little-endian IEEE for floats, varints (zigzag when
+// signed) for the rest.
 primitive! {
     u8 => 1, i8 => 1, bool => 1, f32 => 4,
     u16 => 3, i16 => 3, u32 => 5, i32 => 5, u64 => 10, i64 => 10,
@@ -111,7 +115,8 @@ macro_rules! wire_struct {
     };
 }
 
-/// Defines an enumeration of unit and one-field variants (at most 128) with its largest encoding and its fingerprint.
+/// Defines an enumeration of unit and one-field variants (at most 128) with its largest encoding
+/// and its fingerprint.
 macro_rules! wire_enum {
     (
         $(#[$meta:meta])*

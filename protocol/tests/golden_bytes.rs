@@ -1,6 +1,8 @@
-//! Pins every byte of every message against `golden_bytes.txt`: a change there is a change of the wire.
+//! Pins every byte of every message against `golden_bytes.txt`: a change there is a change of the
+//! wire.
 //!
-//! Each line is a message's name and its body in hex; lines that begin with `frame` are whole frames as they go over the wire.
+//! Each line is a message's name and its body in hex; lines that begin with `frame` are whole
+//! frames as they go over the wire.
 
 use heapless::{String, Vec};
 use palpus_protocol::*;

@@ -47,6 +47,21 @@ fn decode_one<M: for<'a> TryFrom<Frame<'a>, Error = MessageError>>(bytes: &[u8])
     M::try_from(frame).expect("readable")
 }
 
+fn blank() -> Contact {
+    Contact {
+        sequence: 0,
+        board_time_us: 0,
+        point_mm: [0.0; 3],
+        normal: [0.0, 0.0, 1.0],
+        normal_force_n: 0.0,
+        tangential_force_n: 0.0,
+        spin_n_mm: 0.0,
+        sigma_mm: 0.0,
+        joint_angles_rad: [0.0; 3],
+        flags: ContactFlags::none(),
+    }
+}
+
 fn unit_vector() -> impl Strategy<Value = [f32; 3]> {
     (-1.0f64..1.0, 0.0f64..std::f64::consts::TAU).prop_map(|(z, angle)| {
         let r = (1.0 - z * z).sqrt();
@@ -247,7 +262,8 @@ proptest! {
     #[test]
     fn contacts_come_back_within_their_resolution(contact in contact()) {
         let bytes = encoded(&BoardMessage::Contact(contact));
-        // Size does not depend on the values: 254 bytes or fewer always need exactly one stuffing byte.
+        // Size does not depend on the values: 254 bytes or fewer always need exactly one stuffing
+        // byte.
         prop_assert_eq!(bytes.len(), CONTACT_FRAME_BYTES);
         let BoardMessage::Contact(back) = decode_one::<BoardMessage>(&bytes) else { panic!("a contact") };
         prop_assert_eq!((back.sequence, back.board_time_us, back.flags), (contact.sequence, contact.board_time_us, contact.flags));
@@ -267,7 +283,8 @@ proptest! {
     fn packing_is_idempotent(contact in contact()) {
         let first = PackedContact::from(&contact);
         let again = PackedContact::from(&Contact::from(first));
-        // The normal's fold may move by one step where the sphere's scaling rounds; everything else is exact.
+        // The normal's fold may move by one step where the sphere's scaling rounds; everything else
+        // is exact.
         prop_assert!(degrees_between(Contact::from(first).normal, Contact::from(again).normal) <= 0.005);
         let strip = |packed: PackedContact| Contact { normal: [0.0, 0.0, 1.0], ..Contact::from(packed) };
         prop_assert_eq!(strip(first), strip(again));
@@ -360,20 +377,14 @@ proptest! {
     #[test]
     fn times_widen_to_the_nearest(reference in 0u64..1 << 50, ahead in -(1i64 << 38)..1 << 38) {
         let time = reference.saturating_add_signed(ahead);
-        let contact = Contact {
-            sequence: 0, board_time_us: time % CONTACT_TIME_MODULUS_US, point_mm: [0.0; 3], normal: [0.0, 0.0, 1.0], normal_force_n: 0.0,
-            tangential_force_n: 0.0, spin_n_mm: 0.0, sigma_mm: 0.0, joint_angles_rad: [0.0; 3], flags: ContactFlags::none(),
-        };
+        let contact = Contact { board_time_us: time % CONTACT_TIME_MODULUS_US, ..blank() };
         prop_assert_eq!(contact.widen_time_us(reference), time);
     }
 
     #[test]
     fn lost_contacts_are_counted_over_the_wrap(previous in 0..CONTACT_SEQUENCE_MODULUS, lost in 0..CONTACT_SEQUENCE_MODULUS - 1) {
         let sequence = (previous + lost + 1) % CONTACT_SEQUENCE_MODULUS;
-        let contact = Contact {
-            sequence, board_time_us: 0, point_mm: [0.0; 3], normal: [0.0, 0.0, 1.0], normal_force_n: 0.0,
-            tangential_force_n: 0.0, spin_n_mm: 0.0, sigma_mm: 0.0, joint_angles_rad: [0.0; 3], flags: ContactFlags::none(),
-        };
+        let contact = Contact { sequence, ..blank() };
         prop_assert_eq!(contact.lost_since(previous), lost);
     }
 }
@@ -452,18 +463,7 @@ fn the_octahedral_fold_stays_within_its_stated_error() {
                 (polar.sin() * turn.sin()) as f32,
                 polar.cos() as f32,
             ];
-            let contact = Contact {
-                sequence: 0,
-                board_time_us: 0,
-                point_mm: [0.0; 3],
-                normal,
-                normal_force_n: 0.0,
-                tangential_force_n: 0.0,
-                spin_n_mm: 0.0,
-                sigma_mm: 0.0,
-                joint_angles_rad: [0.0; 3],
-                flags: ContactFlags::none(),
-            };
+            let contact = Contact { normal, ..blank() };
             worst = worst.max(degrees_between(
                 Contact::from(PackedContact::from(&contact)).normal,
                 normal,

@@ -1,10 +1,13 @@
-//! Contact point, normal, forces and spin from the wrench at the tip's centre (intrinsic contact sensing).
+//! Contact point, normal, forces and spin from the wrench at the tip's centre (intrinsic contact
+//! sensing).
 //!
-//! Source: A. Bicchi, J. K. Salisbury, D. L. Brock, "Contact sensing from force measurements", 1990: a soft finger touches the tip's surface
-//! at c with a force p and a moment along the normal only, m0 = K B^2 c + c x p, where B^2 c is along the normal.
+//! Source: A. Bicchi, J. K. Salisbury, D. L. Brock, "Contact sensing from force measurements",
+//! 1990: a soft finger touches the tip's surface at c with a force p and a moment along the normal
+//! only, m0 = K B^2 c + c x p, where B^2 c is along the normal.
 //!
-//! The tip is an ellipsoid with semi-axes a, b, c, a sphere being the case of equal ones. All lengths are divided by r = (abc)^(1/3), so
-//! B = diag(r/a, r/b, r/c) has determinant 1 and the formulas for the ellipsoid lose their factors; for a sphere B is 1. With mu = m0 / r:
+//! The tip is an ellipsoid with semi-axes a, b, c, a sphere being the case of equal ones. All
+//! lengths are divided by r = (abc)^(1/3), so B = diag(r/a, r/b, r/c) has determinant 1 and the
+//! formulas for the ellipsoid lose their factors; for a sphere B is 1. With mu = m0 / r:
 //!
 //! ```text
 //! sigma = |B^-1 mu|^2 - |B p|^2        delta = sqrt(sigma^2 + 4 (p.mu)^2)
@@ -13,9 +16,10 @@
 //! c / r = (K B^-2 mu + (B^2 p) x mu + s p) / (K^2 + |B p|^2)
 //! ```
 //!
-//! (K, s) and (-K, -s) both solve the equations; s < 0 is compression. The textbook's form divides by K, which goes to zero with
-//! the spin: in `f32`, at a spin of 0.01 mm times the normal force, a third of its results were NaN and the rest off by 1 mm in the median. Here each case
-//! divides by the larger of the two.
+//! (K, s) and (-K, -s) both solve the equations; s < 0 is compression. The textbook's form divides
+//! by K, which goes to zero with the spin: in `f32`, at a spin of 0.01 mm times the normal force, a
+//! third of its results were NaN and the rest off by 1 mm in the median. Here each case divides by
+//! the larger of the two.
 
 use super::Vec3;
 use super::wrench::Wrench;
@@ -49,7 +53,8 @@ pub struct ContactSolution {
     pub tangential_force_n: f32,
     /// Moment about the outward normal, N mm.
     pub spin_n_mm: f32,
-    /// By how much the moment exceeds what a force through the tip could make, N mm; above zero the line of force misses the tip.
+    /// By how much the moment exceeds what a force through the tip could make, N mm; above zero the
+    /// line of force misses the tip.
     pub excess_moment_n_mm: f32,
 }
 
@@ -102,7 +107,8 @@ impl Tip {
         (&self.b2, &self.inverse_b2, self.trace_b2)
     }
 
-    /// Solves for the contact that explains a wrench about the tip's centre; `None` without a force, or when a number is not finite.
+    /// Solves for the contact that explains a wrench about the tip's centre; `None` without a
+    /// force, or when a number is not finite.
     pub fn solve(&self, about_centre: &Wrench) -> Option<ContactSolution> {
         let p = about_centre.force_n;
         let mu = about_centre.moment_n_mm / self.radius_mm;
@@ -119,7 +125,8 @@ impl Tip {
         let delta = libm::sqrtf(sigma * sigma + 4.0 * power * power);
         let (k, s) = if sigma <= 0.0 {
             let s = -libm::sqrtf(0.5 * (delta - sigma));
-            // s = 0 needs sigma = 0 and power = 0: the line touches the tip and neither presses nor spins.
+            // s = 0 needs sigma = 0 and power = 0: the line touches the tip and neither presses nor
+            // spins.
             (if s < 0.0 { power / s } else { 0.0 }, s)
         } else {
             let k = -libm::sqrtf(0.5 * (delta + sigma)).copysign(power);
@@ -171,7 +178,8 @@ mod tests {
         .expect("sound")
     }
 
-    /// Forward simulation: a tip pressed at the point with the given direction from its centre (in axes' units).
+    /// Forward simulation: a tip pressed at the point with the given direction from its centre (in
+    /// axes' units).
     fn press(axes: [f64; 3], centre: [f64; 3], direction: [f64; 3], load: [f64; 4]) -> Truth {
         let [normal_force, tangential_force, tangent_angle, spin] = load;
         let unit = Vector3::from(direction).normalize();
@@ -248,7 +256,8 @@ mod tests {
         }
     }
 
-    /// Figures over many cases: the largest errors of point (mm), normal (degrees), forces (N), spin (N mm).
+    /// Figures over many cases: the largest errors of point (mm), normal (degrees), forces (N),
+    /// spin (N mm).
     fn sweep(axes: [f64; 3], spin_scale: f64) -> [f64; 4] {
         let tip = tip(axes, [0.0; 3]);
         // A fixed linear congruential sequence (Knuth, MMIX): the same cases every time.

@@ -1,14 +1,16 @@
 //! Standard deviation of a contact point, from the noise of the wrench.
 //!
-//! First order in the noise. With the contact from the sensor's origin L = d + c, an error (df, dm) at the sensor moves the point by a
-//! tangent step dc that obeys M dc = (dm - L x df) in the tangent plane, where M = (K P B^2 P + fn [n x]), lengths in mean radii. So
+//! First order in the noise. With the contact from the sensor's origin L = d + c, an error (df, dm)
+//! at the sensor moves the point by a tangent step dc that obeys M dc = (dm - L x df) in the
+//! tangent plane, where M = (K P B^2 P + fn [n x]), lengths in mean radii. So
 //!
 //! ```text
 //! variance per tangent axis = (sm^2 + sf^2 (|L|^2 + (L.n)^2) / 2) * |M^-1|_F^2 / 2
 //! ```
 //!
-//! For a sphere this is sqrt(sm^2 + R^2 sf^2) / sqrt(fn^2 + (spin/R)^2) with the noise taken at the tip's centre. Friction does not enter.
-//! The lever L counts from the sensor, since that is where force and moment have independent noise: a sensor 35 mm below the tip doubles the error at 1 N.
+//! For a sphere this is sqrt(sm^2 + R^2 sf^2) / sqrt(fn^2 + (spin/R)^2) with the noise taken at the
+//! tip's centre. Friction does not enter. The lever L counts from the sensor, since that is where
+//! force and moment have independent noise: a sensor 35 mm below the tip doubles the error at 1 N.
 
 use super::contact::{ContactSolution, Tip};
 
@@ -22,7 +24,8 @@ pub struct WrenchNoise {
 }
 
 impl WrenchNoise {
-    /// What six-axis sensors of this size showed in public logs at 100 Hz: 10 to 17 mN and 0.1 to 0.4 N mm.
+    /// What six-axis sensors of this size showed in public logs at 100 Hz: 10 to 17 mN and 0.1 to
+    /// 0.4 N mm.
     pub const TYPICAL: Self = Self {
         force_n: 12.5e-3,
         moment_n_mm: 0.30,
@@ -38,7 +41,8 @@ impl WrenchNoise {
         }
     }
 
-    /// Standard deviation of the contact point along a tangent axis, mm (root mean square over the two axes); infinite without load.
+    /// Standard deviation of the contact point along a tangent axis, mm (root mean square over the
+    /// two axes); infinite without load.
     pub fn point_sigma_mm(&self, tip: &Tip, contact: &ContactSolution) -> f32 {
         let lever = tip.centre_mm() + contact.point_mm;
         let along = lever.dot(&contact.normal);
@@ -46,7 +50,8 @@ impl WrenchNoise {
             + self.force_n * self.force_n * 0.5 * (lever.norm_squared() + along * along);
         let (b2, inverse_b2, trace) = tip.curvature();
         let n = &contact.normal;
-        // Curvature of the tip in the tangent plane, without a basis: trace and determinant of P B^2 P.
+        // Curvature of the tip in the tangent plane, without a basis: trace and determinant of P
+        // B^2 P.
         let tangent_trace = trace - n.dot(&b2.component_mul(n));
         let tangent_determinant = n.dot(&inverse_b2.component_mul(n));
         // spin = K |B^2 c|, and |B^2 c| = 1 / (c.n) where c / r is on B's unit ellipsoid.
@@ -163,7 +168,8 @@ mod tests {
         ] {
             let (measured, stated) = scatter(&tip, force, moment);
             std::println!("measured {measured:.4} mm, stated {stated:.4} mm");
-            // 20 000 trials leave 0.5 % of chance; the rest is the isotropic average over the tangent plane.
+            // 20 000 trials leave 0.5 % of chance; the rest is the isotropic average over the
+            // tangent plane.
             assert!(
                 (measured / stated - 1.0).abs() < 0.04,
                 "measured {measured}, stated {stated}"

@@ -1,8 +1,9 @@
 //! Whether a contact may be believed, and if not, why.
 //!
-//! The force threshold is no number of its own: a contact counts when its point's standard deviation is good enough, that is, from the
-//! force at which sigma reaches the limit (0.5 mm). Hysteresis keeps a force that hovers there from flickering: a contact begins at 0.8 of
-//! the limit and ends at the limit, so no valid contact is ever worse than the limit.
+//! The force threshold is no number of its own: a contact counts when its point's standard
+//! deviation is good enough, that is, from the force at which sigma reaches the limit (0.5 mm).
+//! Hysteresis keeps a force that hovers there from flickering: a contact begins at 0.8 of the limit
+//! and ends at the limit, so no valid contact is ever worse than the limit.
 
 use super::contact::ContactSolution;
 use super::uncertainty::WrenchNoise;
@@ -16,11 +17,14 @@ pub struct ContactLimits {
     pub sigma_mm: f32,
     /// Contact begins below this part of `sigma_mm`.
     pub sigma_enter_ratio: f32,
-    /// Largest tangential over normal force. Dry rubber reaches about 1.2; beyond 1.5 the wrench is no single touch.
+    /// Largest tangential over normal force. Dry rubber reaches about 1.2; beyond 1.5 the wrench is
+    /// no single touch.
     pub friction: f32,
-    /// Largest spin moment over normal force, mm: friction times two thirds of the radius of the contact patch, which is a few mm.
+    /// Largest spin moment over normal force, mm: friction times two thirds of the radius of the
+    /// contact patch, which is a few mm.
     pub spin_mm: f32,
-    /// How many standard deviations the line of force may miss the tip, and the point may lie behind the equator.
+    /// How many standard deviations the line of force may miss the tip, and the point may lie
+    /// behind the equator.
     pub deviations: f32,
 }
 
@@ -42,10 +46,12 @@ pub struct ContactGate {
     loaded: bool,
 }
 
-/// Force or moment above this many standard deviations of noise is a load; below `UNLOAD_DEVIATIONS` it is none.
+/// Force or moment above this many standard deviations of noise is a load; below
+/// `UNLOAD_DEVIATIONS` it is none.
 ///
-/// At 5 chance takes a free tip for loaded for one sample every 24 minutes (six axes at 200 Hz, 5.7e-7 each), at 4 every 13 seconds, which would
-/// keep the tare from being followed; at 8 a touch of 0.1 N would be followed as drift.
+/// At 5 chance takes a free tip for loaded for one sample every 24 minutes (six axes at 200 Hz,
+/// 5.7e-7 each), at 4 every 13 seconds, which would keep the tare from being followed; at 8 a touch
+/// of 0.1 N would be followed as drift.
 const LOAD_DEVIATIONS: f32 = 5.0;
 const UNLOAD_DEVIATIONS: f32 = 3.5;
 
@@ -82,7 +88,8 @@ impl ContactGate {
         self.loaded = !free;
     }
 
-    /// Judges a solved contact with the standard deviation of its point; returns the reasons against it.
+    /// Judges a solved contact with the standard deviation of its point; returns the reasons
+    /// against it.
     pub fn judge(
         &mut self,
         contact: &ContactSolution,
@@ -202,7 +209,8 @@ mod tests {
                 "{force} {moment}"
             );
         }
-        // A lever of 22 mm on a tip of 20 mm: the point is on the silhouette, where friction has no limit either.
+        // A lever of 22 mm on a tip of 20 mm: the point is on the silhouette, where friction has no
+        // limit either.
         let flags = judge(&mut ContactGate::new(), ahead, Vec3::new(0.0, 44.0, 0.0));
         assert!(flags.contains(ContactFlags::LINE_MISSES_TIP));
         // Missing by less than noise explains is no reason.

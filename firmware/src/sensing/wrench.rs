@@ -27,7 +27,8 @@ impl Wrench {
 /// Calibration matrix, unpacked for use.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GaugeMatrix {
-    /// Rows Fx, Fy, Fz (N per count), Mx, My, Mz (N mm per count); columns beyond the gauges are zero.
+    /// Rows Fx, Fy, Fz (N per count), Mx, My, Mz (N mm per count); columns beyond the gauges are
+    /// zero.
     rows: [[f32; MAX_GAUGES]; WRENCH_AXES],
 }
 
@@ -62,7 +63,8 @@ impl GaugeMatrix {
         }
     }
 
-    /// Standard deviation per axis, as (force in N, moment in N mm), that independent noise of the gauges (counts) makes.
+    /// Standard deviation per axis, as (force in N, moment in N mm), that independent noise of the
+    /// gauges (counts) makes.
     pub fn noise(&self, noise_counts: &[f32; MAX_GAUGES]) -> (f32, f32) {
         let mean_of = |rows: core::ops::Range<usize>| {
             let mut sum = 0.0;
@@ -79,8 +81,8 @@ impl GaugeMatrix {
 }
 
 impl GaugeMatrix {
-    /// For each gauge the counts that alone would make the wrench's noise: the smaller of force's and moment's share; at most 1e6, which is also
-    /// the answer for a gauge that moves nothing.
+    /// For each gauge the counts that alone would make the wrench's noise: the smaller of force's
+    /// and moment's share; at most 1e6, which is also the answer for a gauge that moves nothing.
     pub fn counts_of(&self, noise: &WrenchNoise) -> [f32; MAX_GAUGES] {
         let mut counts = [0.0; MAX_GAUGES];
         for (gauge, count) in counts.iter_mut().enumerate() {
