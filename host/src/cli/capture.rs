@@ -34,6 +34,9 @@ pub struct Args {
     /// End after so many valid contacts of all fingers together.
     #[arg(long, value_name = "N")]
     points: Option<u64>,
+    /// Tare all boards first, over N periods (200 without N); the tips must be free.
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "200")]
+    tare: Option<u16>,
     /// Replace an existing run.
     #[arg(long)]
     force: bool,
@@ -80,6 +83,7 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
             contact_every: 1,
             raw_every: args.raw_every,
         },
+        tare: args.tare,
         duration: args.duration.map(Duration::from_secs_f64),
         points: args.points,
         notes: BTreeMap::new(),

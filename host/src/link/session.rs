@@ -197,8 +197,16 @@ impl Session {
             bad_before: 0,
             must_start: true,
         };
-        session.first_round_trips()?;
+        session.first_round_trips(None)?;
         Ok(session)
+    }
+
+    /// Takes the unloaded gauges' mean as zero, as [`super::board::tare`] does.
+    ///
+    /// # Errors
+    /// [`LinkError`]; refused while the tip is in contact.
+    pub fn tare(&mut self, samples: u16) -> Result<(), LinkError> {
+        super::board::tare(self.connection()?, samples, false).map(drop)
     }
 
     /// What the board said of itself.
@@ -472,7 +480,8 @@ impl Session {
         self.offer(sink, LinkEvent::RoundTrip(trip));
     }
 
-    fn first_round_trips(&mut self) -> Result<(), LinkError> {
+    /// Makes a few round trips; without a sink, whatever else comes was sent before the run began and is let go.
+    fn first_round_trips(&mut self, mut sink: Option<&mut Sink<'_>>) -> Result<(), LinkError> {
         let end = Instant::now() + GIVE_UP_AFTER;
         let mut done = 0;
         while done < FIRST_ROUND_TRIPS && Instant::now() < end {
@@ -482,7 +491,13 @@ impl Session {
                 let Some(received) = self.connection()?.receive(deadline)? else {
                     break;
                 };
-                self.handle(received, &mut |_| true);
+                match &mut sink {
+                    Some(sink) => self.handle(received, sink),
+                    None if matches!(received.message, Ok(BoardMessage::Reply(_))) => {
+                        self.handle(received, &mut |_| true);
+                    }
+                    None => {}
+                }
             }
             done += 1;
         }
@@ -523,7 +538,7 @@ impl Session {
         self.identity = identity;
         self.announce(sink);
         self.note(sink, Weight::Info, format!("the board is back on {port}"));
-        self.first_round_trips()
+        self.first_round_trips(Some(sink))
     }
 
     fn another_board(&self, found: &Identity) -> LinkError {

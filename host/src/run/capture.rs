@@ -52,6 +52,8 @@ pub struct CaptureSettings {
     pub baud: u32,
     /// What the boards shall stream.
     pub streams: Streams,
+    /// Tare each board before it starts, over so many periods; the tips must be free.
+    pub tare: Option<u16>,
     /// End after this time.
     pub duration: Option<Duration>,
     /// End after so many valid contacts of all fingers together.
@@ -428,7 +430,13 @@ fn connect(settings: &CaptureSettings, clock: HostClock) -> Result<Vec<Session>,
             },
             clock,
         );
-        sessions.push(session.map_err(|source| CaptureError::Link {
+        let tared = session.and_then(|mut session| {
+            if let Some(samples) = settings.tare {
+                session.tare(samples)?;
+            }
+            Ok(session)
+        });
+        sessions.push(tared.map_err(|source| CaptureError::Link {
             finger: finger.clone(),
             source,
         })?);

@@ -1,0 +1,458 @@
+//! Capture over real pseudo-terminals from boards that run the real firmware library.
+
+use palpus_host::hand::Hand;
+use palpus_host::link::board;
+use palpus_host::link::connection::Connection;
+use palpus_host::link::host_clock::HostClock;
+use palpus_host::link::port::DEFAULT_BAUD;
+use palpus_host::run::RunError;
+use palpus_host::run::capture::{
+    CaptureError, CaptureEvent, CaptureSettings, CaptureSummary, End, capture,
+};
+use palpus_host::run::points::points;
+use palpus_protocol::Streams;
+use palpus_tests::bench_board::{BenchBoard, BenchSettings, RADIUS_MM, pressed_at};
+use palpus_tests::fault_line::{FaultLine, Faults, LineFaults};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+fn hand() -> Vec<(String, String)> {
+    vec![(
+        "three_finger.urdf".into(),
+        Hand::THREE_FINGER_URDF.to_owned(),
+    )]
+}
+
+fn finger_names() -> Vec<String> {
+    let hand = Hand::from_sources(&hand()).unwrap();
+    hand.fingers().iter().map(|f| f.name.clone()).collect()
+}
+
+fn settings(fingers: &[(String, String)], output: &Path) -> CaptureSettings {
+    CaptureSettings {
+        fingers: fingers.to_vec(),
+        hand: hand(),
+        output: output.into(),
+        replace: false,
+        baud: DEFAULT_BAUD,
+        streams: Streams {
+            contact_every: 1,
+            raw_every: 0,
+        },
+        tare: None,
+        duration: None,
+        points: None,
+        notes: BTreeMap::new(),
+    }
+}
+
+/// Three boards, tared and pressed.
+fn boards(count: usize) -> Vec<(String, BenchBoard)> {
+    let boards: Vec<(String, BenchBoard)> = finger_names()
+        .into_iter()
+        .take(count)
+        .enumerate()
+        .map(|(k, name)| {
+            let mut bench = BenchSettings::new(&name, k as u8);
+            bench.drift = [80e-6, -50e-6, 20e-6][k % 3];
+            bench.start_us = 1_000_000 + 7_000_000 * k as u64;
+            (name, BenchBoard::start(bench))
+        })
+        .collect();
+    for (_, bench) in &boards {
+        tare(bench.path());
+        bench.press(true);
+    }
+    boards
+}
+
+fn tare(path: &str) {
+    let mut connection = Connection::open(path, DEFAULT_BAUD, HostClock::start()).unwrap();
+    board::tare(&mut connection, 20, false).unwrap();
+}
+
+fn ports(boards: &[(String, BenchBoard)]) -> Vec<(String, String)> {
+    boards
+        .iter()
+        .map(|(name, bench)| (name.clone(), bench.path().to_owned()))
+        .collect()
+}
+
+fn quiet(_: CaptureEvent<'_>) {}
+
+/// Where the board's contact at this time lies in the world, by the truth.
+fn truth(finger: &palpus_host::hand::Finger, board_us: u64) -> ([f64; 3], [f64; 3]) {
+    let (n, angles) = pressed_at(board_us);
+    let normal = palpus_host::Vec3::from(n);
+    let world = finger.world_contact(&angles, &(normal * RADIUS_MM), &normal);
+    (world.position_mm.into(), world.normal.into())
+}
+
+#[test]
+fn three_boards_are_captured_and_placed_without_a_loss() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("run.mcap");
+    let boards = boards(3);
+    let mut settings = settings(&ports(&boards), &output);
+    settings.points = Some(1_500);
+    let summary = capture(&settings, &AtomicBool::new(false), &mut quiet).unwrap();
+    assert_eq!(summary.end, End::Points);
+    for (name, status) in &summary.progress.fingers {
+        assert_eq!(status.lost, 0, "{name}: {status:?}");
+        assert_eq!(status.bad, 0, "{name}");
+        assert_eq!(status.out_of_order, 0, "{name}");
+        assert_eq!(status.dropped_by_host, 0, "{name}");
+        assert_eq!(status.valid, status.contacts, "{name}");
+        assert!(status.round_trips > 4, "{name}");
+    }
+    assert_eq!(
+        std::fs::metadata(&output).unwrap().len(),
+        summary.progress.safe_bytes
+    );
+
+    let result = points(&[output], None).unwrap();
+    let report = &result.reports[0];
+    assert!(report.complete && report.damage.is_empty());
+    assert!(result.cloud.points.len() >= 1_500);
+    for (finger, (_, status)) in report.fingers.iter().zip(&summary.progress.fingers) {
+        assert_eq!(finger.contacts, status.contacts);
+        assert_eq!(finger.valid, status.valid);
+        assert_eq!((finger.lost, finger.unreadable), (0, 0));
+    }
+    // Every point lies a tip's radius from some place of the tip's centre at its time: within the path that the
+    // truth takes near that time.
+    let hand = Hand::from_sources(&hand()).unwrap();
+    for point in result.cloud.points.iter().step_by(29) {
+        let finger = &hand.fingers()[usize::from(point.finger.unwrap())];
+        let reach = finger.tip_pose_mm(&[0.0, 0.5, -0.8]).translation.vector;
+        assert!((point.position - reach).norm() < 200.0);
+        assert!((point.normal.norm() - 1.0).abs() < 1e-6);
+        assert!(point.sigma.unwrap() < 0.5);
+    }
+}
+
+#[test]
+fn points_lie_where_the_tip_was_pressed() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("run.mcap");
+    let boards = boards(1);
+    let mut settings = settings(&ports(&boards), &output);
+    settings.points = Some(300);
+    capture(&settings, &AtomicBool::new(false), &mut quiet).unwrap();
+    let run = palpus_host::run::reader::Run::open(&output).unwrap();
+    let hand = run.read_hand().unwrap().unwrap();
+    let (_, finger) = hand.finger(&boards[0].0).unwrap();
+    let result = points(std::slice::from_ref(&output), None).unwrap();
+    let mut times = Vec::new();
+    run.each(|item| {
+        if let palpus_host::run::reader::RunItem::Frame { wire, .. } = item
+            && let Ok(palpus_protocol::BoardMessage::Contact(contact)) =
+                palpus_host::link::connection::decode_wire(&wire)
+        {
+            times.push(contact.board_time_us);
+        }
+    })
+    .unwrap();
+    assert_eq!(times.len(), result.cloud.points.len());
+    let mut worst: f64 = 0.0;
+    for (point, &board_us) in result.cloud.points.iter().zip(&times) {
+        let (position, normal) = truth(finger, board_us);
+        worst = worst.max((point.position - palpus_host::Vec3::from(position)).norm());
+        assert!(point.normal.dot(&palpus_host::Vec3::from(normal)) > 0.999_999);
+    }
+    // Counts of 0.1 mN and 1 N um, angles of 10 urad at 400 mm, points of 2 um: a few microns.
+    assert!(worst < 0.02, "worst {worst} mm");
+}
+
+#[test]
+fn what_is_given_wrongly_is_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("run.mcap");
+    let boards = boards(2);
+    let ports = ports(&boards);
+    let never = AtomicBool::new(false);
+
+    let swapped = vec![
+        (ports[0].0.clone(), ports[1].1.clone()),
+        (ports[1].0.clone(), ports[0].1.clone()),
+    ];
+    let error = capture(&settings(&swapped, &output), &never, &mut quiet).unwrap_err();
+    assert!(matches!(error, CaptureError::Swapped { .. }), "{error}");
+    assert!(!output.exists());
+
+    let unknown = vec![("seventh".to_owned(), ports[0].1.clone())];
+    let error = capture(&settings(&unknown, &output), &never, &mut quiet).unwrap_err();
+    assert!(
+        matches!(error, CaptureError::UnknownFinger { .. }),
+        "{error}"
+    );
+
+    let twice = vec![ports[0].clone(), (ports[1].0.clone(), ports[0].1.clone())];
+    let error = capture(&settings(&twice, &output), &never, &mut quiet).unwrap_err();
+    assert!(matches!(error, CaptureError::Twice { .. }), "{error}");
+
+    let gone = vec![(ports[0].0.clone(), "/dev/no-such-port".to_owned())];
+    let error = capture(&settings(&gone, &output), &never, &mut quiet).unwrap_err();
+    assert!(matches!(error, CaptureError::Link { .. }), "{error}");
+
+    std::fs::write(&output, "mine").unwrap();
+    let error = capture(&settings(&ports, &output), &never, &mut quiet).unwrap_err();
+    assert!(
+        matches!(error, CaptureError::Run(RunError::Exists { .. })),
+        "{error}"
+    );
+    assert_eq!(std::fs::read(&output).unwrap(), b"mine");
+
+    let nowhere = folder.path().join("missing").join("run.mcap");
+    let error = capture(&settings(&ports, &nowhere), &never, &mut quiet).unwrap_err();
+    assert!(
+        matches!(error, CaptureError::Run(RunError::Create { .. })),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_full_disk_ends_the_capture_with_what_there_was() {
+    let full = Path::new("/dev/full");
+    if !full.exists() {
+        return;
+    }
+    let boards = boards(1);
+    let mut settings = settings(&ports(&boards), full);
+    settings.replace = true;
+    settings.duration = Some(Duration::from_secs(5));
+    let error = capture(&settings, &AtomicBool::new(false), &mut quiet).unwrap_err();
+    assert!(
+        matches!(error, CaptureError::Run(RunError::Write { .. })),
+        "{error}"
+    );
+}
+
+/// Captures in a thread while `act` does things to the line; stops after it.
+fn capture_during(
+    settings: &CaptureSettings,
+    act: impl FnOnce(&dyn Fn(&str, &dyn Fn(&Progress) -> bool)),
+) -> CaptureSummary {
+    let stop = AtomicBool::new(false);
+    let latest: std::sync::Mutex<Progress> = std::sync::Mutex::default();
+    std::thread::scope(|scope| {
+        let thread = scope.spawn(|| {
+            capture(settings, &stop, &mut |event| {
+                if let CaptureEvent::Progress(progress) = event {
+                    *latest.lock().unwrap() = Progress(progress.fingers.clone());
+                }
+            })
+        });
+        let wait_until = |what: &str, done: &dyn Fn(&Progress) -> bool| {
+            let start = Instant::now();
+            while !done(&latest.lock().unwrap()) {
+                assert!(!thread.is_finished(), "the capture ended before: {what}");
+                assert!(
+                    start.elapsed() < Duration::from_secs(60),
+                    "waited in vain: {what}"
+                );
+                std::thread::sleep(Duration::from_millis(5));
+            }
+        };
+        act(&wait_until);
+        stop.store(true, Ordering::Relaxed);
+        thread.join().unwrap().unwrap()
+    })
+}
+
+#[derive(Clone, Default)]
+struct Progress(Vec<(String, palpus_host::link::session::LinkStatus)>);
+
+impl Progress {
+    fn contacts(&self, finger: usize) -> u64 {
+        self.0.get(finger).map_or(0, |(_, s)| s.contacts)
+    }
+
+    fn status(&self, finger: usize) -> palpus_host::link::session::LinkStatus {
+        self.0
+            .get(finger)
+            .map(|(_, s)| s.clone())
+            .unwrap_or_default()
+    }
+}
+
+/// Frames of a finger in a run, in order.
+fn wire_frames(output: &Path, finger: usize) -> Vec<Vec<u8>> {
+    let run = palpus_host::run::reader::Run::open(output).unwrap();
+    let mut frames = Vec::new();
+    run.each(|item| {
+        if let palpus_host::run::reader::RunItem::Frame {
+            finger: of, wire, ..
+        } = item
+            && of == finger
+        {
+            frames.push(wire);
+        }
+    })
+    .unwrap();
+    frames
+}
+
+#[test]
+fn a_noisy_line_loses_frames_counts_them_and_accepts_no_false_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("run.mcap");
+    let boards = boards(1);
+    let link = folder.path().join("board0");
+    let line = FaultLine::start(boards[0].1.path(), &link, LineFaults::default(), 11);
+    let fingers = vec![(boards[0].0.clone(), link.to_string_lossy().into_owned())];
+    let summary = capture_during(&settings(&fingers, &output), |wait_until| {
+        wait_until("a clean start", &|p| p.contacts(0) > 50);
+        line.set_faults(LineFaults {
+            to_host: Faults::mixed(0.01),
+            to_board: Faults::mixed(0.01),
+        });
+        let before = std::cell::Cell::new(0);
+        wait_until("a thousand contacts through the noise", &|p| {
+            before.set(p.contacts(0));
+            p.contacts(0) > 1_000
+        });
+        line.set_faults(LineFaults {
+            to_host: Faults {
+                garbage: true,
+                ..Faults::NONE
+            },
+            ..LineFaults::default()
+        });
+        std::thread::sleep(Duration::from_millis(300));
+        line.set_faults(LineFaults::default());
+        let reached = before.get();
+        wait_until("the stream after garbage", &|p| {
+            p.contacts(0) > reached + 200
+        });
+    });
+    let injected = line.finish();
+    let status = &summary.progress.fingers[0].1;
+    assert!(injected > 100 && status.bad > 50, "{injected} {status:?}");
+    assert!(status.lost > 50, "{status:?}");
+
+    // Nothing that was accepted was never sent.
+    let sent: BTreeSet<Vec<u8>> = boards[0]
+        .1
+        .sent()
+        .into_iter()
+        .map(|mut frame| {
+            frame.pop();
+            frame
+        })
+        .collect();
+    let frames = wire_frames(&output, 0);
+    for frame in &frames {
+        assert!(
+            sent.contains(frame),
+            "a frame was accepted that was never sent"
+        );
+    }
+    // The books balance: what was sent between first and last accepted contact is accepted or lost.
+    let numbers: Vec<u32> = frames
+        .iter()
+        .filter_map(|f| match palpus_host::link::connection::decode_wire(f) {
+            Ok(palpus_protocol::BoardMessage::Contact(c)) => Some(c.sequence),
+            _ => None,
+        })
+        .collect();
+    let (first, last) = (numbers[0], *numbers.last().unwrap());
+    let made = u64::from(last - first) + 1;
+    assert_eq!(status.contacts + status.lost, made, "{status:?}");
+    assert_eq!(status.contacts, numbers.len() as u64 - status.duplicates);
+}
+
+#[test]
+fn an_unplugged_board_is_found_again_under_another_name_and_the_others_go_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("run.mcap");
+    let boards = boards(2);
+    let links: Vec<PathBuf> = (0..3)
+        .map(|k| folder.path().join(format!("board{k}")))
+        .collect();
+    let line = FaultLine::start(boards[0].1.path(), &links[0], LineFaults::default(), 1);
+    let fingers = vec![
+        (boards[0].0.clone(), links[0].to_string_lossy().into_owned()),
+        (boards[1].0.clone(), boards[1].1.path().to_owned()),
+    ];
+    let summary = capture_during(&settings(&fingers, &output), |wait_until| {
+        wait_until("both run", &|p| p.contacts(0) > 50 && p.contacts(1) > 50);
+        line.hang_up();
+        wait_until("the loss is seen", &|p| !p.status(0).connected);
+        let other = std::cell::Cell::new(0);
+        wait_until("the other is seen", &|p| {
+            other.set(p.contacts(1));
+            true
+        });
+        let reached = other.get();
+        wait_until("the other goes on", &|p| p.contacts(1) > reached + 100);
+        line.come_back(&links[2]);
+        wait_until("it is found again", &|p| p.status(0).connected);
+        let back = std::cell::Cell::new(0);
+        wait_until("it is seen", &|p| {
+            back.set(p.contacts(0));
+            true
+        });
+        let reached = back.get();
+        wait_until("it streams again", &|p| p.contacts(0) > reached + 100);
+    });
+    let (first, second) = (
+        &summary.progress.fingers[0].1,
+        &summary.progress.fingers[1].1,
+    );
+    assert_eq!(first.reconnects, 1);
+    assert_eq!(first.reboots, 0);
+    assert!(first.port.ends_with("board2"), "{}", first.port);
+    assert_eq!((second.reconnects, second.lost), (0, 0));
+    let result = points(&[output], None).unwrap();
+    let report = &result.reports[0].fingers[0];
+    assert_eq!((report.contacts, report.lost), (first.contacts, first.lost));
+    // What the board made while it could not be reached is missing, and said.
+    assert!(first.lost > 20, "{first:?}");
+}
+
+#[test]
+fn a_restarted_board_is_noticed_and_streams_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("run.mcap");
+    let boards = boards(1);
+    let summary = capture_during(&settings(&ports(&boards), &output), |wait_until| {
+        wait_until("it runs", &|p| p.contacts(0) > 300);
+        boards[0].1.restart();
+        wait_until("the restart is seen", &|p| p.status(0).reboots == 1);
+        let back = std::cell::Cell::new(0);
+        wait_until("it is seen", &|p| {
+            back.set(p.contacts(0));
+            true
+        });
+        let reached = back.get();
+        wait_until("it streams again", &|p| p.contacts(0) > reached + 100);
+    });
+    let status = &summary.progress.fingers[0].1;
+    assert_eq!((status.reboots, status.lost), (1, 0), "{status:?}");
+    let result = points(&[output], None).unwrap();
+    let report = &result.reports[0].fingers[0];
+    assert_eq!(report.contacts, status.contacts);
+    assert_eq!((report.restarts, report.lost), (1, 0));
+    // The tare went with the power.
+    assert!(report.invalid["not tared"] >= 100);
+}
+
+#[test]
+fn a_stopped_capture_keeps_everything() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("run.mcap");
+    let boards = boards(1);
+    let summary = capture_during(&settings(&ports(&boards), &output), |wait_until| {
+        wait_until("it runs", &|p| p.contacts(0) > 100);
+    });
+    assert_eq!(summary.end, End::Stopped);
+    let result = points(&[output], None).unwrap();
+    assert_eq!(
+        result.reports[0].fingers[0].contacts,
+        summary.progress.fingers[0].1.contacts
+    );
+    assert!(result.reports[0].complete);
+}
