@@ -1,5 +1,5 @@
 //! Shared fixtures of the whole-program tests.
 
-pub mod emulator;
 pub mod bench_board;
+pub mod emulator;
 pub mod fault_line;
