@@ -1,7 +1,9 @@
 //! A simulated hand that explores an object: the truth, never handed to `reconstruct`.
 
 mod finger;
+mod gauges;
 mod itinerary;
+mod motion;
 mod noise;
 pub mod object;
 mod point_set;
