@@ -129,17 +129,15 @@ impl Motion {
 
     /// The finger waiting at home.
     pub(crate) fn at_home(&self) -> Moment {
-        let centre_mm = self.reacher.home_mm();
-        Moment {
-            angles: self
-                .reacher
-                .angles(&centre_mm, Elbow::Up)
-                .unwrap_or([0.0; 3]),
-            centre_mm,
-            contact: None,
-            normal_force_n: 0.0,
-            sliding: Vec3::zeros(),
-        }
+        home(&self.reacher)
+    }
+
+    /// Back home, to begin anew.
+    pub(crate) fn restart(&mut self) {
+        self.stage = 0;
+        self.period = 0;
+        self.progress_mm = 0.0;
+        self.last_centre_mm = self.reacher.home_mm();
     }
 
     /// The next period.
@@ -237,7 +235,6 @@ impl Motion {
                 moment.angles = angles;
             }
         }
-        self.last_centre_mm = moment.centre_mm;
         moment
     }
 
@@ -262,6 +259,17 @@ impl Motion {
             normal_force_n: 0.0,
             sliding: Vec3::zeros(),
         }
+    }
+}
+
+fn home(reacher: &Reacher) -> Moment {
+    let centre_mm = reacher.home_mm();
+    Moment {
+        angles: reacher.angles(&centre_mm, Elbow::Up).unwrap_or([0.0; 3]),
+        centre_mm,
+        contact: None,
+        normal_force_n: 0.0,
+        sliding: Vec3::zeros(),
     }
 }
 
