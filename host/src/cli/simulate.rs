@@ -4,9 +4,14 @@ use super::{Common, Exit, Failure};
 use anyhow::{Context, anyhow};
 use palpus_host::cloud::write_ply;
 use palpus_host::export::{sampled_from_mesh, write_bytes, write_mesh};
+use palpus_host::hand::Hand;
 use palpus_host::import::read_mesh;
-use palpus_host::simulate::{Object, PointSet};
+use palpus_host::simulate::{HandOptions, Noise, Object, PointSet, SimulateError, SimulatedHand};
+use std::io::IsTerminal;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 /// Longest side given to an object that comes from a mesh file without `--size`, millimetres.
 const MESH_SIDE_MM: f64 = 150.0;
@@ -24,6 +29,61 @@ pub struct Args {
     /// Everything random follows from this.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Fingers to use, 1 to 3.
+    #[arg(long, value_name = "N", default_value_t = 3, conflicts_with = "points")]
+    fingers: usize,
+    /// Imperfection of gauges and encoders: none, default, or how many times the default.
+    #[arg(long, value_name = "none|default|FACTOR", default_value = "default", value_parser = noise, conflicts_with = "points")]
+    noise: Noise,
+    /// Contacts in which the whole object is gone over once; decides how fast the fingers slide.
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 6000,
+        conflicts_with = "points"
+    )]
+    contacts: usize,
+    /// Normal force, in newtons.
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 2.0,
+        conflicts_with = "points"
+    )]
+    force: f64,
+    /// Tangential over normal force while sliding.
+    #[arg(
+        long,
+        value_name = "MU",
+        default_value_t = 0.3,
+        conflicts_with = "points"
+    )]
+    friction: f64,
+    /// Largest moment about the contact's normal, in newton millimetres.
+    #[arg(
+        long,
+        value_name = "NMM",
+        default_value_t = 1.0,
+        conflicts_with = "points"
+    )]
+    spin: f64,
+    /// How much faster than 200 Hz the boards sample and the fingers move.
+    #[arg(
+        long,
+        value_name = "FACTOR",
+        default_value_t = 1.0,
+        conflicts_with = "points"
+    )]
+    speed: f64,
+    /// Stop by itself after so many seconds.
+    #[arg(long, value_name = "S", conflicts_with = "points")]
+    duration: Option<f64>,
+    /// Stop by itself once the whole object has been gone over so often.
+    #[arg(long, value_name = "N", conflicts_with = "points")]
+    rounds: Option<u64>,
+    /// Write the description of the simulated hand, for `palpus capture --hand`.
+    #[arg(long, value_name = "URDF", conflicts_with = "points")]
+    write_hand: Option<PathBuf>,
     /// Write the object's true shape as a mesh, for `palpus evaluate --against`.
     #[arg(long, value_name = "MESH")]
     truth: Option<PathBuf>,
@@ -54,9 +114,13 @@ pub struct Args {
 
 /// Runs `palpus simulate`.
 pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
-    for (name, value) in [("--size", args.size), ("--longest-side", args.longest_side)] {
+    for (name, value) in [
+        ("--size", args.size),
+        ("--longest-side", args.longest_side),
+        ("--duration", args.duration),
+    ] {
         if let Some(value) = value.filter(|v| !(v.is_finite() && *v > 0.0)) {
-            let error = anyhow!("{name} {value}: a length above 0 is needed");
+            let error = anyhow!("{name} {value}: a number above 0 is needed");
             return Err(Failure::new(Exit::Usage, error));
         }
     }
@@ -103,10 +167,120 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
             }
             Ok(Exit::Done)
         }
-        _ => Err(Failure::new(
-            Exit::Usage,
-            anyhow!("give --points N and -o FILE"),
-        )),
+        _ => boards(common, &args, object),
+    }
+}
+
+/// Runs the boards until told to stop.
+fn boards(common: &Common, args: &Args, object: Object) -> Result<Exit, Failure> {
+    if let Some(path) = &args.write_hand {
+        write_bytes(path, Hand::THREE_FINGER_URDF.as_bytes())
+            .map_err(|e| Failure::new(Exit::Usage, e))?;
+    }
+    let mut options = HandOptions::new(object);
+    options.fingers = args.fingers;
+    options.noise = args.noise;
+    options.contacts = args.contacts;
+    options.normal_force_n = args.force;
+    options.friction = args.friction;
+    options.spin_n_mm = args.spin;
+    options.speed = args.speed;
+    options.seed = args.seed;
+
+    let stop = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&stop);
+    ctrlc::set_handler(move || told.store(true, Ordering::Relaxed))
+        .map_err(|e| Failure::new(Exit::Device, e))?;
+    let hand = SimulatedHand::start(&options).map_err(|e| Failure::new(exit_of(&e), e))?;
+    print_ports(common, args, &hand);
+
+    let began = Instant::now();
+    let mut exit = Exit::Done;
+    loop {
+        if stop.load(Ordering::Relaxed) {
+            // Stopping is how this command ends; with an end of its own it was interrupted.
+            if args.duration.is_some() || args.rounds.is_some() {
+                exit = Exit::Interrupted;
+            }
+            break;
+        }
+        let time_is_up = args
+            .duration
+            .is_some_and(|seconds| began.elapsed().as_secs_f64() >= seconds);
+        if time_is_up || args.rounds.is_some_and(|rounds| hand.rounds() >= rounds) {
+            break;
+        }
+        if hand.has_failed() {
+            let error = anyhow!("a pseudo-terminal was taken away; start the simulation again");
+            return Err(Failure::new(Exit::Device, error));
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    hand.stop();
+    Ok(exit)
+}
+
+/// Which code a failed simulation leaves with.
+pub fn exit_of(error: &SimulateError) -> Exit {
+    match error {
+        SimulateError::Fingers { .. } | SimulateError::Option { .. } => Exit::Usage,
+        SimulateError::OutOfReach { .. } | SimulateError::Hand(_) => Exit::Input,
+        SimulateError::Board { .. } | SimulateError::Terminal { .. } => Exit::Device,
+    }
+}
+
+fn print_ports(common: &Common, args: &Args, hand: &SimulatedHand) {
+    if common.json {
+        let fingers: Vec<serde_json::Value> = hand
+            .ports()
+            .iter()
+            .map(|p| serde_json::json!({ "finger": p.finger, "port": p.port }))
+            .collect();
+        println!(
+            "{}",
+            serde_json::json!({
+                "object": args.object, "fingers": fingers, "hand": args.write_hand,
+                "touchable": hand.touchable(), "unreachable": hand.unreachable(),
+                "slide_mm_per_s": hand.slide_mm_per_s(),
+            })
+        );
+        return;
+    }
+    for port in hand.ports() {
+        println!("{}={}", port.finger, port.port.display());
+    }
+    if std::io::stderr().is_terminal() || common.verbose > 0 {
+        let file = args
+            .write_hand
+            .as_ref()
+            .map_or_else(|| "HAND.urdf".into(), |p| p.display().to_string());
+        let fingers: String = hand
+            .ports()
+            .iter()
+            .map(|p| format!(" --finger {}={}", p.finger, p.port.display()))
+            .collect();
+        eprintln!(
+            "{:.1} % of the surface can be touched, {:.1} % of that is out of reach; sliding at {:.0} mm/s.\n\
+             Record it with:\n  palpus capture{fingers} --hand {file} -o RUN.mcap\nStop with Ctrl-C.",
+            100.0 * hand.touchable(),
+            100.0 * hand.unreachable(),
+            hand.slide_mm_per_s(),
+        );
+        if args.write_hand.is_none() {
+            eprintln!("(--write-hand HAND.urdf writes the hand's description.)");
+        }
+    }
+}
+
+/// Reads `--noise`.
+pub fn noise(text: &str) -> Result<Noise, String> {
+    match text {
+        "none" => Ok(Noise::none()),
+        "default" => Ok(Noise::standard()),
+        factor => match factor.parse::<f64>() {
+            Ok(factor) if (0.01..=100.0).contains(&factor) => Ok(Noise::scaled(factor)),
+            _ => Err("give none, default, or a factor from 0.01 to 100".into()),
+        },
     }
 }
 

@@ -1,7 +1,7 @@
 //! The sensor side of one simulated finger: from a touch to gauge counts and joint readings, as the front ends
 //! of a real [`palpus_firmware::Board`].
 
-use super::gauges::{GAUGES, Gauges, Reading};
+use super::gauges::{GAUGES, Reading};
 use super::motion::Moment;
 use crate::Vec3;
 use crate::hand::Finger;
@@ -141,7 +141,7 @@ mod tests {
         let hand = Hand::from_urdf(Hand::THREE_FINGER_URDF, "three_finger.urdf").unwrap();
         let (_, index) = hand.finger("index").unwrap();
         // Stretched along -x: tip centre at x = -150, its pole at -170, the sensor at -135. The object's wall
-        // faces +x. Sensor axes: z along -x, x along -z (world), so y along y.
+        // faces +x. Sensor axes in the world: z along -x, x along -z, so y along -y.
         let foot = Foot {
             position_mm: Vec3::new(-170.0, 0.0, 0.0),
             normal: Vec3::x(),
@@ -160,7 +160,10 @@ mod tests {
         };
         let (force, about) = wrench_at_sensor(index, &moment, &rubbing, 0);
         // Pushed back along -z by 2 N, dragged along -y by 1 N on a lever of 35 mm along z: 35 N mm about x.
-        assert!((force - Vec3::new(0.0, -1.0, -2.0)).norm() < 1e-9, "{force}");
+        assert!(
+            (force - Vec3::new(0.0, -1.0, -2.0)).norm() < 1e-9,
+            "{force}"
+        );
         assert!((about - Vec3::new(35.0, 0.0, 0.0)).norm() < 1e-9, "{about}");
 
         let spinning = Rubbing {

@@ -218,7 +218,10 @@ pub(crate) fn plan(options: &HandOptions) -> Result<Plan, SimulateError> {
 }
 
 fn shipped_hand() -> Result<Hand, SimulateError> {
-    Ok(Hand::from_urdf(Hand::THREE_FINGER_URDF, "three_finger.urdf")?)
+    Ok(Hand::from_urdf(
+        Hand::THREE_FINGER_URDF,
+        "three_finger.urdf",
+    )?)
 }
 
 /// A finger's board as the outside sees it.
@@ -300,9 +303,12 @@ impl SimulatedHand {
                 })?
             };
             let finger = bench.reacher().finger().name.clone();
-            let port = slave.name().map(PathBuf::from).ok_or_else(|| SimulateError::Terminal {
-                reason: "it has no name".into(),
-            })?;
+            let port = slave
+                .name()
+                .map(PathBuf::from)
+                .ok_or_else(|| SimulateError::Terminal {
+                    reason: "it has no name".into(),
+                })?;
             hand.ports.push(FingerPort { finger, port });
             let cable = Cable {
                 bench,
@@ -354,9 +360,12 @@ impl SimulatedHand {
     /// What was true about the contacts of one finger (in the order of [`Self::ports`]) so far; empty unless
     /// [`HandOptions::keep_truth`].
     pub fn truth(&self, finger: usize) -> Vec<TrueContact> {
-        self.shared.truth.get(finger).map_or_else(Vec::new, |truth| {
-            truth.lock().unwrap_or_else(PoisonError::into_inner).clone()
-        })
+        self.shared
+            .truth
+            .get(finger)
+            .map_or_else(Vec::new, |truth| {
+                truth.lock().unwrap_or_else(PoisonError::into_inner).clone()
+            })
     }
 
     /// Whether a board's thread has ended by itself, which it only does when its terminal fails.
@@ -423,7 +432,9 @@ impl Cable {
                 due_us += self.period_us;
                 if let (Some(truth), true) = (truth, self.shared.keep_truth) {
                     let log = &self.shared.truth[self.number];
-                    log.lock().unwrap_or_else(PoisonError::into_inner).push(truth);
+                    log.lock()
+                        .unwrap_or_else(PoisonError::into_inner)
+                        .push(truth);
                 }
                 self.shared.rounds[self.number].store(self.bench.rounds(), Ordering::Relaxed);
                 if !self.send() {
@@ -443,7 +454,11 @@ impl Cable {
                         return;
                     }
                 }
-                Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {}
+                Err(e)
+                    if matches!(
+                        e.kind(),
+                        ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock
+                    ) => {}
                 Err(_) => return,
             }
         }
@@ -466,7 +481,12 @@ impl Cable {
                 Ok(count) => {
                     self.unsent.drain(..count);
                 }
-                Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {
+                Err(e)
+                    if matches!(
+                        e.kind(),
+                        ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock
+                    ) =>
+                {
                     return true;
                 }
                 Err(_) => return false,

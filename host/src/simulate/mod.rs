@@ -62,7 +62,9 @@ pub enum SimulateError {
         high: f64,
     },
     /// Nothing of the object can be touched.
-    #[error("{object}: no finger can touch it anywhere; it should be 50 to 220 mm long (see --size)")]
+    #[error(
+        "{object}: no finger can touch it anywhere; it should be 50 to 220 mm long (see --size)"
+    )]
     OutOfReach {
         /// The object.
         object: String,
