@@ -24,6 +24,7 @@ enum Command {
     Board(cli::board::Args),
     Capture(cli::capture::Args),
     Points(cli::points::Args),
+    Report(cli::report::Args),
 }
 
 fn main() -> ExitCode {
@@ -34,6 +35,7 @@ fn main() -> ExitCode {
         Command::Board(args) => cli::board::run(&palpus.common, args),
         Command::Capture(args) => cli::capture::run(&palpus.common, args),
         Command::Points(args) => cli::points::run(&palpus.common, args),
+        Command::Report(args) => cli::report::run(&palpus.common, args),
     };
     match outcome {
         Ok(exit) => exit.into(),

@@ -4,6 +4,7 @@ pub mod board;
 pub mod capture;
 pub mod evaluate;
 pub mod points;
+pub mod report;
 pub mod simulate;
 
 use std::process::ExitCode;

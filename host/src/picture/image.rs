@@ -76,6 +76,17 @@ impl Image {
         Self { width, height, rgb }
     }
 
+    /// The picture as the bytes of a PNG file.
+    ///
+    /// # Errors
+    /// [`PictureError::Encode`] if the picture is empty.
+    pub fn to_png(&self) -> Result<Vec<u8>, PictureError> {
+        let mut bytes = Vec::new();
+        self.encode(&mut bytes, None)
+            .map_err(|error| PictureError::Encode(error.to_string()))?;
+        Ok(bytes)
+    }
+
     /// Writes a PNG.
     ///
     /// # Errors

@@ -7,6 +7,7 @@
 //! | `camera` | view, framing, projection |
 //! | `raster`, `shade` | from a scene to pixels |
 //! | `lettering`, `legend` | titles, legends, scale bars |
+//! | `page` | the report page: one HTML file |
 //! | `colour`, `image` | colours and colour maps, pixels, PNG |
 //!
 //! Guaranteed: the same input gives the same bytes on any number of threads; all figures of a set are seen
@@ -17,6 +18,7 @@ mod colour;
 mod image;
 mod legend;
 mod lettering;
+mod page;
 mod raster;
 mod scene;
 mod shade;
@@ -29,8 +31,9 @@ pub use colour::{Colour, ColourMap, Srgb};
 pub use image::Image;
 pub use legend::{Caption, Legend};
 pub use lettering::{Anchor, round_length, short_number, text_width};
+pub use page::Page;
 pub use scene::{Balls, Body, INSIDE, Lines, Paint, Scene};
-pub use stages::{FigureOptions, Stages, distances_to_surface, patch_borders};
+pub use stages::{FigureOptions, Foot, Stages, feet_on_surface, patch_borders};
 
 /// Why a picture could not be made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -56,6 +59,9 @@ pub enum PictureError {
         /// What the system said.
         reason: String,
     },
+    /// A picture cannot be turned into a PNG.
+    #[error("cannot encode the picture: {0}")]
+    Encode(String),
     /// The surface is no valid network.
     #[error(transparent)]
     Surface(#[from] crate::spline::SurfaceError),

@@ -16,10 +16,10 @@ use super::legend::{Caption, Legend};
 use super::lettering::short_number;
 use super::scene::{Balls, Body, Lines, Paint, Scene};
 use crate::Vec3;
-use crate::cloud::Cloud;
+use crate::cloud::{Cloud, OrientedPoint};
 use crate::mesh::{AabbTree, TriangleMesh};
 use crate::spline::edges::EdgeTable;
-use crate::spline::{SampledSurface, Surface};
+use crate::spline::{SampledSurface, Surface, angle_degrees};
 
 const CLAY: Srgb = Colour::hex(0x9DB7CF);
 const PALE: Srgb = Colour::hex(0xDDE2E7);
@@ -235,7 +235,10 @@ impl Stages<'_> {
         };
         if let Some(cloud) = self.cloud.filter(|cloud| !cloud.points.is_empty()) {
             let centres: Vec<Vec3> = cloud.points.iter().map(|point| point.position).collect();
-            let distances = distances_to_surface(&sampled, &centres);
+            let distances: Vec<f64> = feet_on_surface(&sampled, &cloud.points)
+                .iter()
+                .map(|foot| foot.distance)
+                .collect();
             let rms =
                 (distances.iter().map(|d| d * d).sum::<f64>() / distances.len() as f64).sqrt();
             let most = distances.iter().copied().fold(0.0, f64::max);
@@ -384,10 +387,19 @@ impl Stages<'_> {
     }
 }
 
-/// Distance of each point to the surface, from its foot on the sampled triangles, each bent to its exact normals:
-/// half of what the vertices' tangent planes lie above the triangle, which is exact for a parabola (error of fourth order
-/// in the triangles' size).
-pub fn distances_to_surface(sampled: &SampledSurface, points: &[Vec3]) -> Vec<f64> {
+/// Where a point stands relative to a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Foot {
+    /// Distance from the surface, in the unit of the input; NaN without a surface.
+    pub distance: f64,
+    /// Angle between the measured normal and the surface's, in degrees.
+    pub angle_degrees: f64,
+}
+
+/// Where each point stands, from its foot on the sampled triangles, each bent to its exact normals: half of what the
+/// vertices' tangent planes lie above the triangle, which is exact for a parabola (error of fourth order in the
+/// triangles' size). Points are held to faces whose normal agrees with theirs where there is one.
+pub fn feet_on_surface(sampled: &SampledSurface, points: &[OrientedPoint]) -> Vec<Foot> {
     let mesh = TriangleMesh {
         positions: sampled.positions.clone(),
         faces: sampled.triangles.clone(),
@@ -396,20 +408,29 @@ pub fn distances_to_surface(sampled: &SampledSurface, points: &[Vec3]) -> Vec<f6
     points
         .par_iter()
         .map(|point| {
-            let Some(foot) = tree.closest(&mesh, point) else {
-                return f64::NAN;
+            let at = point.position;
+            let agrees = |face: u32| mesh.area_vector(face).dot(&point.normal) > 0.0;
+            let foot = tree.closest_where(&mesh, &at, f64::INFINITY, agrees);
+            let Some(foot) = foot.or_else(|| tree.closest(&mesh, &at)) else {
+                return Foot {
+                    distance: f64::NAN,
+                    angle_degrees: f64::NAN,
+                };
             };
-            let corners = mesh.faces[foot.face as usize];
-            let bulge: Vec3 = (0..3)
-                .map(|i| {
-                    let (p, n) = (
-                        sampled.positions[corners[i] as usize],
-                        sampled.normals[corners[i] as usize],
-                    );
-                    n * (0.5 * foot.barycentric[i] * n.dot(&(p - foot.position)))
-                })
-                .sum();
-            (point - foot.position - bulge).norm()
+            let corners = mesh.faces[foot.face as usize].map(|v| v as usize);
+            let (mut bulge, mut normal) = (Vec3::zeros(), Vec3::zeros());
+            for (corner, share) in corners.into_iter().zip(foot.barycentric) {
+                let (p, n) = (sampled.positions[corner], sampled.normals[corner]);
+                bulge += n * (0.5 * share * n.dot(&(p - foot.position)));
+                normal += n * share;
+            }
+            Foot {
+                distance: (at - foot.position - bulge).norm(),
+                angle_degrees: angle_degrees(
+                    normal.try_normalize(0.0).unwrap_or(point.normal),
+                    point.normal,
+                ),
+            }
         })
         .collect()
 }
@@ -529,7 +550,7 @@ fn ball_radius(points: usize) -> f32 {
 }
 
 /// The value below which the given share of the numbers lies; 0 without numbers.
-fn quantile(values: &[f64], share: f64) -> f64 {
+pub(super) fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|x| x.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     let place = (share * sorted.len() as f64) as usize;
@@ -552,14 +573,13 @@ fn contact_sheet(images: &[Image]) -> Image {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
-    use crate::cloud::OrientedPoint;
     use crate::mesh::shapes::icosphere;
     use crate::spline::bernstein::EXPONENTS;
 
     /// Flat patches on an icosphere, with its vertices as cloud.
-    fn faceted_ball() -> (Cloud, TriangleMesh, Surface) {
+    pub(in crate::picture) fn faceted_ball() -> (Cloud, TriangleMesh, Surface) {
         let mesh = icosphere(1);
         let cloud = Cloud {
             points: mesh
@@ -690,12 +710,19 @@ mod tests {
     #[test]
     fn distances_err_by_the_fourth_order_of_the_triangles_size() {
         let coarse = icosphere(1);
-        let points: Vec<Vec3> = coarse
+        let points: Vec<OrientedPoint> = coarse
             .faces
             .iter()
             .map(|face| {
                 let [a, b, c] = face.map(|v| coarse.positions[v as usize]);
-                (a * 0.5 + b * 0.3 + c * 0.2).normalize() * 1.02
+                let normal = (a * 0.5 + b * 0.3 + c * 0.2).normalize();
+                OrientedPoint {
+                    position: normal * 1.02,
+                    normal,
+                    sigma: None,
+                    finger: None,
+                    time_us: None,
+                }
             })
             .collect();
         let worst = |levels: usize| {
@@ -706,10 +733,10 @@ mod tests {
                 triangles: mesh.faces.clone(),
                 ..SampledSurface::default()
             };
-            let distances = distances_to_surface(&sampled, &points);
-            distances
-                .iter()
-                .map(|d| (d - 0.02).abs())
+            let feet = feet_on_surface(&sampled, &points);
+            assert!(feet.iter().all(|foot| foot.angle_degrees < 0.2));
+            feet.iter()
+                .map(|foot| (foot.distance - 0.02).abs())
                 .fold(0.0, f64::max)
         };
         // Half the size: a sixteenth of the error. The flat triangles of level 3 alone are off by 3e-3.
