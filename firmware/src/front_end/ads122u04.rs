@@ -90,7 +90,7 @@ pub struct Timing {
     /// One byte on the line, rounded up: 87 at 115 200 Bd.
     pub byte_us: u32,
     /// One conversion. The data sheet gives 1 065 clocks of 2.048 MHz for a single shot in turbo mode, which is 0.52 ms; its
-    /// clock is good to 2 %. [U] The table does not agree with itself on these modes, so half a conversion more is allowed
+    /// clock is good to 2 %. Not confirmed: the table does not agree with itself on these modes, so half a conversion more is allowed
     /// by reading again.
     pub conversion_us: u32,
     /// From the start of a period to the moment at which an answer is no longer waited for.
@@ -608,7 +608,7 @@ const fn counts(low: u8, middle: u8, high: u8) -> i32 {
 /// The chip's check sum: polynomial 0x1021, all ones at the start, every byte taken least significant bit first (the order
 /// on the line), sent low byte first.
 ///
-/// [U] Whether the remainder is sent as it stands or with its bits reversed is not certain. The first register read back
+/// Not confirmed: whether the remainder is sent as it stands or with its bits reversed is not certain. The first register read back
 /// at set-up, whose value is known, tells the driver which of the two its chip uses.
 pub fn crc(bytes: &[u8]) -> u16 {
     let mut remainder = 0xffff_u16;
