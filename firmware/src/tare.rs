@@ -482,6 +482,29 @@ mod tests {
     }
 
     #[test]
+    fn following_waits_until_the_tip_has_been_free_for_a_while() {
+        let mut tare = Tare::new(1, 5000);
+        assert!(matches!(
+            run(&mut tare, request(1, true), |_| [0, 0]).0,
+            TareProgress::Done(_)
+        ));
+        let tared = [100.0; MAX_GAUGES];
+        // 50 periods are the quarter of a second; a touch in between starts the wait anew.
+        for _ in 0..2 {
+            for _ in 0..49 {
+                tare.follow(&tared, true);
+            }
+            tare.follow(&tared, false);
+        }
+        for _ in 0..49 {
+            tare.follow(&tared, true);
+        }
+        assert_eq!(tare.drift_counts(0), 0.0);
+        tare.follow(&tared, true);
+        assert!(tare.drift_counts(0) > 0.0);
+    }
+
+    #[test]
     fn a_slow_touch_is_not_swallowed() {
         // 10 sigma within 5 s, slower than any finger approaches: less than 1 sigma is followed.
         let touch = |t: f32| (600.0 * t) as i32;

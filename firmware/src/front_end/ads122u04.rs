@@ -608,8 +608,8 @@ const fn counts(low: u8, middle: u8, high: u8) -> i32 {
 /// The chip's check sum: polynomial 0x1021, all ones at the start, every byte taken least significant bit first (the order
 /// on the line), sent low byte first.
 ///
-/// Not confirmed: whether the remainder is sent as it stands or with its bits reversed is not certain. The first register read back
-/// at set-up, whose value is known, tells the driver which of the two its chip uses.
+/// Not confirmed: whether the remainder is sent as it stands or with its bits reversed. The first register read back at set-up,
+/// whose value is known, tells the driver which of the two its chip uses.
 pub fn crc(bytes: &[u8]) -> u16 {
     let mut remainder = 0xffff_u16;
     for byte in bytes {

@@ -100,6 +100,27 @@ fn the_board_itself_sees_stuck_and_late_gauges() {
 }
 
 #[test]
+fn old_and_saturated_readings_have_their_own_names_and_are_not_called_stuck() {
+    let mut bench = Bench::<RamStore>::ready();
+    bench.board.gauges_mut().noise = 0;
+    bench.board.gauges_mut().flags[2] = GaugeFlags::SATURATED;
+    bench.run(40);
+    let (_, gauges) = bench.statistics();
+    assert!(gauges[2].saturated == 40 && gauges[2].stuck == 0);
+    assert!(gauges[1].saturated == 0 && gauges[1].stuck > 0);
+    // A front end that has nothing new returns its last reading: late, not stuck.
+    let mut bench = Bench::<RamStore>::ready();
+    bench.board.gauges_mut().noise = 0;
+    let read_us = bench.now_us;
+    for _ in 0..40 {
+        bench.board.gauges_mut().age_us = bench.now_us + PERIOD_US - read_us;
+        bench.run(1);
+    }
+    let (_, gauges) = bench.statistics();
+    assert!(gauges[0].stuck == 0 && gauges[0].late == 39, "{gauges:?}");
+}
+
+#[test]
 fn joint_faults_are_reasons_and_pass() {
     let mut bench = Bench::<RamStore>::ready();
     for state in [JointState::Missing, JointState::BadCheck] {
