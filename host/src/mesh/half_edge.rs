@@ -282,7 +282,7 @@ impl HalfEdgeMesh {
 
     /// The half-edge before `h` in its face.
     pub const fn prev(h: u32) -> u32 {
-        if h % 3 == 0 { h + 2 } else { h - 1 }
+        if h.is_multiple_of(3) { h + 2 } else { h - 1 }
     }
 
     /// The face `h` belongs to.

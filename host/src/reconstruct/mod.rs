@@ -3,4 +3,5 @@
 pub mod extract;
 pub mod fit;
 pub mod refine;
+pub mod simplify;
 pub mod surfacing;
