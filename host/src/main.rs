@@ -25,6 +25,7 @@ enum Command {
     Capture(cli::capture::Args),
     Points(cli::points::Args),
     Report(cli::report::Args),
+    Reconstruct(cli::reconstruct::Args),
 }
 
 fn main() -> ExitCode {
@@ -36,6 +37,7 @@ fn main() -> ExitCode {
         Command::Capture(args) => cli::capture::run(&palpus.common, args),
         Command::Points(args) => cli::points::run(&palpus.common, args),
         Command::Report(args) => cli::report::run(&palpus.common, args),
+        Command::Reconstruct(args) => cli::reconstruct::run(&palpus.common, &args),
     };
     match outcome {
         Ok(exit) => exit.into(),

@@ -4,8 +4,10 @@ pub mod board;
 pub mod capture;
 pub mod evaluate;
 pub mod points;
+pub mod reconstruct;
 pub mod report;
 pub mod simulate;
+mod table;
 
 use std::process::ExitCode;
 

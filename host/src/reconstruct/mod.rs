@@ -1,7 +1,12 @@
 //! The four phases, and the driver that runs them. The only place where cloud, mesh and spline meet.
 
+pub mod creases;
+mod driver;
 pub mod extract;
 pub mod fit;
+pub mod frame;
 pub mod refine;
 pub mod simplify;
 pub mod surfacing;
+
+pub use driver::{Options, Progress, ReconstructError, Reconstruction, Stage, reconstruct};

@@ -4,7 +4,7 @@ use super::fit::foot::Foot;
 use super::fit::system::SystemError;
 use super::fit::{Datum, Fit, FitOptions, Kind, fit};
 use super::refine::face_fits;
-use super::refine::templates::{Base, flip_to_even_valence, split_faces};
+use super::refine::templates::{Base, flip_to_even_valence, relax, split_faces};
 use crate::Vec3;
 use crate::spline::Surface;
 use crate::spline::edges::EdgeError;
@@ -19,6 +19,9 @@ pub enum SurfacingError {
     /// A system could not be solved.
     #[error(transparent)]
     System(#[from] SystemError),
+    /// No level gave a finite surface.
+    #[error("the fit has no finite error; check the input for coinciding or far-off points")]
+    NoLevel,
 }
 
 /// What steers phases 3 and 4.
@@ -95,7 +98,7 @@ pub enum RefineEnd {
 }
 
 /// Refines until the tolerance holds or a stated limit is met. Returns the surface, the levels used and why
-/// it ended.
+/// it ended. `project` takes a point near the surface onto it.
 ///
 /// # Errors
 /// As [`fit_base`].
@@ -103,60 +106,93 @@ pub fn refine(
     fitted: Fitted,
     data: &[Datum],
     options: &SurfacingOptions,
+    project: &dyn Fn(&Vec3) -> Option<Vec3>,
     mut progress: impl FnMut(usize, usize),
 ) -> Result<(Fitted, usize, RefineEnd), SurfacingError> {
-    let mut best = fitted;
+    let mut current = fitted;
+    let mut best: Option<(f64, Fitted, usize)> = None;
     let mut levels = 0;
-    loop {
-        let fits = face_fits(best.base.faces.len(), data, &best.feet);
+    let mut without_gain = 0;
+    let end = loop {
+        let badness = badness(&current, data, options);
+        let gained = best.as_ref().is_none_or(|(least, ..)| badness < *least);
+        without_gain = if gained { 0 } else { without_gain + 1 };
+        let fits = face_fits(current.base.faces.len(), data, &current.feet);
         let beyond: Vec<bool> = fits.iter().map(|f| f.max > options.tolerance).collect();
-        if !beyond.contains(&true) {
-            return Ok((best, levels, RefineEnd::Met));
-        }
         let split: Vec<bool> = fits
             .iter()
             .zip(&beyond)
             .map(|(fit, beyond)| *beyond && fit.is_lack_of_fit(options.noise_sigma))
             .collect();
-        if !split.contains(&true) {
-            return Ok((best, levels, RefineEnd::Noise));
+        let next = next_base(&current, &split, project)?;
+        let faces = next.faces.len();
+        let end = if !beyond.contains(&true) {
+            Some(RefineEnd::Met)
+        } else if !split.contains(&true) {
+            Some(RefineEnd::Noise)
+        } else if without_gain > PATIENCE {
+            Some(RefineEnd::NoGain)
+        } else if levels == options.max_levels {
+            Some(RefineEnd::LevelLimit)
+        } else if faces > options.max_patches {
+            Some(RefineEnd::PatchLimit)
+        } else {
+            None
+        };
+        if gained {
+            best = Some((badness, current, levels));
         }
-        if levels == options.max_levels {
-            return Ok((best, levels, RefineEnd::LevelLimit));
+        if let Some(end) = end {
+            break end;
         }
-        let surface = &best.surface;
-        let mut next = split_faces(&best.base, &split, |face, local| {
-            let mut at = [0.5; 3];
-            at[(local + 2) % 3] = 0.0;
-            surface.point(face, at)
-        })?;
-        if next.faces.len() > options.max_patches {
-            return Ok((best, levels, RefineEnd::PatchLimit));
-        }
-        // Vertices move onto the fitted surface before angles are taken from them.
-        for (vertex, point) in next.vertices.iter_mut().zip(&surface.vertices) {
-            *vertex = *point;
-        }
-        flip_to_even_valence(&mut next)?;
-        let candidate = fit_base(next, data, &options.fit)?;
+        current = fit_base(next, data, &options.fit)?;
         levels += 1;
-        progress(levels, candidate.base.faces.len());
-        let (before, after) = (
-            badness(&best, data, options),
-            badness(&candidate, data, options),
-        );
-        if after >= before {
-            return Ok((best, levels - 1, RefineEnd::NoGain));
-        }
-        best = candidate;
+        progress(levels, faces);
+    };
+    match best {
+        Some((_, fitted, levels)) => Ok((fitted, levels, end)),
+        None => Err(SurfacingError::NoLevel),
     }
 }
 
-/// How far a surface is from what is asked, to compare levels: the squares of what lies beyond the tolerance.
+/// Levels that may pass without coming closer before refinement gives up: one bad triangle can spoil a level
+/// and be mended in the next.
+const PATIENCE: usize = 2;
+
+/// The base mesh of the next level.
+fn next_base(
+    current: &Fitted,
+    split: &[bool],
+    project: &dyn Fn(&Vec3) -> Option<Vec3>,
+) -> Result<Base, EdgeError> {
+    let surface = &current.surface;
+    let first_new = current.base.vertices.len() as u32;
+    let mut next = split_faces(&current.base, split, |face, local| {
+        let mut at = [0.5; 3];
+        at[(local + 2) % 3] = 0.0;
+        surface.point(face, at)
+    })?;
+    // Vertices move onto the fitted surface before angles are taken from them.
+    for (vertex, point) in next.vertices.iter_mut().zip(&surface.vertices) {
+        *vertex = *point;
+    }
+    flip_to_even_valence(&mut next)?;
+    let near: Vec<bool> = next
+        .faces
+        .iter()
+        .map(|face| face.iter().any(|v| *v >= first_new))
+        .collect();
+    relax(&mut next, &near, 5, project)?;
+    Ok(next)
+}
+
+/// How far a surface is from what is asked, to compare levels: the sum of what lies beyond the tolerance, and
+/// a large price for every folded patch.
 fn badness(fitted: &Fitted, data: &[Datum], options: &SurfacingOptions) -> f64 {
-    distances(data, &fitted.feet)
-        .map(|d| (d - options.tolerance).max(0.0).powi(2))
-        .sum()
+    let beyond: f64 = distances(data, &fitted.feet)
+        .map(|d| (d - options.tolerance).max(0.0))
+        .sum();
+    beyond + 10.0 * options.tolerance * fitted.surface.folded_patches().len() as f64
 }
 
 /// Distance of each measured datum to its foot point.

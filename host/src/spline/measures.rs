@@ -149,31 +149,42 @@ impl Surface {
         worst
     }
 
+    /// Smallest area element relative to its patch's mean, and how many patches fold.
     fn regularity(&self) -> (f64, usize) {
+        let patches: Vec<(f64, bool)> = (0..self.faces.len())
+            .map(|f| self.patch_regularity(f))
+            .collect();
+        let smallest = patches.iter().map(|p| p.0).fold(f64::INFINITY, f64::min);
+        let folded = patches.iter().filter(|p| p.1).count();
+        (if smallest.is_finite() { smallest } else { 0.0 }, folded)
+    }
+
+    /// Patches whose normal turns more than 90 degrees away from their mean normal.
+    pub fn folded_patches(&self) -> Vec<usize> {
+        (0..self.faces.len())
+            .filter(|face| self.patch_regularity(*face).1)
+            .collect()
+    }
+
+    /// Smallest area element relative to the mean, and whether the patch folds.
+    fn patch_regularity(&self, face: usize) -> (f64, bool) {
         const STEPS: usize = 6;
-        let mut smallest = f64::INFINITY;
-        let mut folded = 0;
-        for face in 0..self.faces.len() {
-            let mut elements = Vec::with_capacity(28);
-            for i in 0..=STEPS {
-                for j in 0..=STEPS - i {
-                    let at = [i, j, STEPS - i - j].map(|m| m as f64 / STEPS as f64);
-                    let [du, dv] = self.first_derivatives(face, at);
-                    elements.push(du.cross(&dv));
-                }
-            }
-            let sum: Vec3 = elements.iter().sum();
-            let mean = elements.iter().map(Vec3::norm).sum::<f64>() / elements.len() as f64;
-            let least = elements
-                .iter()
-                .map(Vec3::norm)
-                .fold(f64::INFINITY, f64::min);
-            smallest = smallest.min(if mean > 0.0 { least / mean } else { 0.0 });
-            if elements.iter().any(|e| e.dot(&sum) <= 0.0) {
-                folded += 1;
+        let mut elements = Vec::with_capacity(28);
+        for i in 0..=STEPS {
+            for j in 0..=STEPS - i {
+                let at = [i, j, STEPS - i - j].map(|m| m as f64 / STEPS as f64);
+                let [du, dv] = self.first_derivatives(face, at);
+                elements.push(du.cross(&dv));
             }
         }
-        (if smallest.is_finite() { smallest } else { 0.0 }, folded)
+        let sum: Vec3 = elements.iter().sum();
+        let mean = elements.iter().map(Vec3::norm).sum::<f64>() / elements.len() as f64;
+        let least = elements
+            .iter()
+            .map(Vec3::norm)
+            .fold(f64::INFINITY, f64::min);
+        let folds = elements.iter().any(|e| e.dot(&sum) <= 0.0);
+        (if mean > 0.0 { least / mean } else { 0.0 }, folds)
     }
 }
 

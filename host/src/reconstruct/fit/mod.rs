@@ -19,11 +19,15 @@ use crate::spline::network::Network;
 use foot::{Finder, Foot};
 use nalgebra::{Matrix2, Matrix3};
 use rayon::prelude::*;
-use system::{PatchSums, Smoothing, System, SystemError};
+use system::{PatchSums, System, SystemError};
 
 /// Weight of the distance within the tangent plane relative to that along the normal. Below 0.005 points
 /// creep along the surface (sphere, 80 patches); above 0.1 the fit converges as slowly as point distance.
 const TANGENTIAL: f64 = 0.02;
+/// Least weight of the patches' energy within the plane of the base triangle: there it shapes only the
+/// parameters, which the data leave open. Without it patches fold in their own plane on clean scans (kitten,
+/// bunny).
+const PARAMETER_SMOOTHING: f64 = 5e-4;
 /// Tether of control points to the previous round, relative to the mean diagonal: bounds what no datum holds.
 const TETHER: f64 = 1e-8;
 /// Beyond this tether a system that cannot be factored is given up.
@@ -78,7 +82,7 @@ pub struct FitOptions {
     pub rounds: usize,
     /// How the measured normal enters.
     pub normal_term: NormalTerm,
-    /// Weight of the energy per datum and patch, see [`Smoothing`].
+    /// Weight of the energy per datum and patch, in the direction across the patch.
     pub smoothing: f64,
     /// Scale beyond which a measured datum counts less (same unit as positions); infinite: never.
     pub outlier_scale: f64,
@@ -106,14 +110,7 @@ pub fn fit(
     start: Option<Vec<Vec3>>,
     options: &FitOptions,
 ) -> Result<Fit, SystemError> {
-    let system = System::new(
-        network,
-        Smoothing {
-            third: 1.0,
-            jump: 1.0,
-            thin_plate: 1e-3,
-        },
-    )?;
+    let system = System::new(network)?;
     let flat = start.is_none();
     let mut points = start.unwrap_or_else(|| network.flat(vertices));
     let (low, high) = data.iter().fold((points[0], points[0]), |(low, high), d| {
@@ -212,6 +209,14 @@ fn accumulate(
         .map(|(face, members)| {
             let corners = network.faces[face].map(|v| vertices[v as usize]);
             let mut sums = PatchSums::default();
+            let [a, b, c] = corners;
+            let across = (b - a).cross(&(c - a)).try_normalize(0.0);
+            let along = options.smoothing.max(PARAMETER_SMOOTHING);
+            let mut metric = Matrix3::identity() * along;
+            if let Some(n) = across {
+                metric += n * n.transpose() * (options.smoothing - along);
+            }
+            sums.add_energy(&metric);
             for number in members {
                 let datum = &data[*number as usize];
                 let Some(foot) = &feet[*number as usize] else {

@@ -16,6 +16,7 @@ use faer::prelude::*;
 use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
 use faer::sparse::{SparseColMat, SparseColMatRef, SymbolicSparseColMat, Triplet};
 use nalgebra::Matrix3;
+use std::sync::LazyLock;
 
 /// Entries of the lower triangle of a patch's 21 x 21 form.
 pub const PAIRS: usize = CONTROL_POINTS * (CONTROL_POINTS + 1) / 2;
@@ -65,16 +66,23 @@ impl Default for PatchSums {
 }
 
 impl PatchSums {
+    /// Adds the patch's own energy, weighted per direction by `metric`.
+    pub fn add_energy(&mut self, metric: &Matrix3<f64>) {
+        let m = upper(metric);
+        let mut slot = 0;
+        for a in 0..CONTROL_POINTS {
+            for b in 0..=a {
+                for (sum, value) in self.blocks[slot].iter_mut().zip(m) {
+                    *sum += PATCH_ENERGY[a][b] * value;
+                }
+                slot += 1;
+            }
+        }
+    }
+
     /// Adds the square of the linear residual `metric^(1/2) (sum weights * point - target)`.
     pub fn add(&mut self, weights: &[f64; CONTROL_POINTS], metric: &Matrix3<f64>, target: &Vec3) {
-        let m = [
-            metric[(0, 0)],
-            metric[(0, 1)],
-            metric[(0, 2)],
-            metric[(1, 1)],
-            metric[(1, 2)],
-            metric[(2, 2)],
-        ];
+        let m = upper(metric);
         let mut slot = 0;
         for a in 0..CONTROL_POINTS {
             for b in 0..=a {
@@ -102,7 +110,7 @@ pub struct System {
     block_columns: Vec<u32>,
     /// Block of each pair of each patch.
     patch_blocks: Vec<[u32; PAIRS]>,
-    /// Scalar part (times the unit matrix) of the smoothing and of the G1 equations per block.
+    /// Scalar part (times the unit matrix) of the jump energy and of the G1 equations per block.
     energy: Vec<f64>,
     penalty: Vec<f64>,
     equations: Vec<Equation>,
@@ -113,23 +121,18 @@ pub struct System {
     gram: Llt<usize, f64>,
 }
 
-/// What holds the network where data are few, relative to each other.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Smoothing {
-    /// Third derivatives within patches.
-    pub third: f64,
-    /// Jump of the second cross derivative across smooth edges.
-    pub jump: f64,
-    /// Thin plate within patches.
-    pub thin_plate: f64,
-}
+/// Energy of one patch: third derivatives, and a thousandth of the thin plate that keeps quadratics bounded
+/// where there are no data.
+static PATCH_ENERGY: LazyLock<PatchForm> = LazyLock::new(|| {
+    std::array::from_fn(|a| std::array::from_fn(|b| THIRD[a][b] + 1e-3 * THIN_PLATE[a][b]))
+});
 
 impl System {
     /// Lays out the system of a network.
     ///
     /// # Errors
     /// When the symbolic factorisation fails (memory).
-    pub fn new(network: &Network, smoothing: Smoothing) -> Result<Self, SystemError> {
+    pub fn new(network: &Network) -> Result<Self, SystemError> {
         let count = network.point_count;
         let equations = network.equations();
         let jumps: Vec<Vec<(u32, f64)>> = (0..network.table.edges.len())
@@ -152,10 +155,8 @@ impl System {
                 .iter()
                 .flat_map(|e| e.terms.iter().map(|t| t.0))
                 .collect();
-            if smoothing.jump > 0.0 {
-                for row in jump_rows(network, edge) {
-                    numbers.extend(row.iter().map(|t| t.0));
-                }
+            for row in jump_rows(network, edge) {
+                numbers.extend(row.iter().map(|t| t.0));
             }
             numbers.sort_unstable();
             numbers.dedup();
@@ -179,20 +180,13 @@ impl System {
         };
         let mut energy = vec![0.0; rows.len()];
         let mut penalty = vec![0.0; rows.len()];
-        let form: PatchForm = std::array::from_fn(|a| {
-            std::array::from_fn(|b| {
-                smoothing.third * THIRD[a][b] + smoothing.thin_plate * THIN_PLATE[a][b]
-            })
-        });
         let mut patch_blocks = Vec::with_capacity(network.numbers.len());
         for numbers in &network.numbers {
             let mut blocks = [0; PAIRS];
             let mut slot = 0;
             for a in 0..CONTROL_POINTS {
                 for b in 0..=a {
-                    let place = block(numbers[a], numbers[b]);
-                    blocks[slot] = place as u32;
-                    energy[place] += form[a][b];
+                    blocks[slot] = block(numbers[a], numbers[b]) as u32;
                     slot += 1;
                 }
             }
@@ -208,10 +202,8 @@ impl System {
         for equation in &equations {
             square(&mut penalty, &equation.terms, 1.0);
         }
-        if smoothing.jump > 0.0 {
-            for row in &jumps {
-                square(&mut energy, row, smoothing.jump);
-            }
+        for row in &jumps {
+            square(&mut energy, row, 1.0);
         }
         let (columns, indices) = expand(count, &starts, &rows);
         let pattern =
@@ -234,7 +226,7 @@ impl System {
         })
     }
 
-    /// Minimises the data's squares plus `smoothing` times the energy, `tether` (relative to the mean
+    /// Minimises the data's squares plus `jump` times the jump energy, `tether` (relative to the mean
     /// diagonal) times the squared distance to `previous`, under the G1 equations.
     ///
     /// # Errors
@@ -242,7 +234,7 @@ impl System {
     pub fn solve(
         &self,
         sums: &[PatchSums],
-        smoothing: f64,
+        jump: f64,
         tether: f64,
         previous: &[Vec3],
         size: f64,
@@ -262,7 +254,7 @@ impl System {
             }
         }
         for (block, energy) in self.energy.iter().enumerate() {
-            self.add_scalar(&mut values, block, smoothing * energy);
+            self.add_scalar(&mut values, block, jump * energy);
         }
         let mut mean = 0.0;
         for column in 0..self.count {
@@ -404,6 +396,18 @@ fn gram(equations: &[Equation], count: usize) -> Result<Llt<usize, f64>, SystemE
         .map_err(|e| SystemError::Factor(format!("{e:?}")))?;
     Llt::try_new_with_symbolic(symbolic, matrix.as_ref(), faer::Side::Lower)
         .map_err(|e| SystemError::Factor(format!("{e:?}")))
+}
+
+/// Entries xx, xy, xz, yy, yz, zz.
+fn upper(m: &Matrix3<f64>) -> [f64; 6] {
+    [
+        m[(0, 0)],
+        m[(0, 1)],
+        m[(0, 2)],
+        m[(1, 1)],
+        m[(1, 2)],
+        m[(2, 2)],
+    ]
 }
 
 fn largest(residuals: &[Vec3]) -> f64 {

@@ -191,6 +191,84 @@ pub fn flip_to_even_valence(base: &mut Base) -> Result<usize, EdgeError> {
     Ok(flipped)
 }
 
+/// Moves the vertices around the faces in `near` towards the mean of their neighbours and back onto the
+/// surface (`project`), so that split triangles become well-shaped. Vertices on creases and borders stay, and a
+/// step that would thin a triangle or turn it is not taken.
+///
+/// # Errors
+/// A base that is no proper triangulation.
+pub fn relax(
+    base: &mut Base,
+    near: &[bool],
+    rounds: usize,
+    project: &dyn Fn(&Vec3) -> Option<Vec3>,
+) -> Result<(), EdgeError> {
+    let table = EdgeTable::new(base.vertices.len(), &base.faces)?;
+    let mut fixed = vec![true; base.vertices.len()];
+    let mut faces_at: Vec<Vec<u32>> = vec![Vec::new(); base.vertices.len()];
+    for (number, face) in base.faces.iter().enumerate() {
+        for v in face {
+            faces_at[*v as usize].push(number as u32);
+            fixed[*v as usize] &= !near.get(number).copied().unwrap_or(false);
+        }
+    }
+    for edge in &table.edges {
+        if edge.is_border() || base.creases.binary_search(&edge.vertices).is_ok() {
+            for v in edge.vertices {
+                fixed[v as usize] = true;
+            }
+        }
+    }
+    for _ in 0..rounds {
+        for v in 0..base.vertices.len() {
+            if fixed[v] || faces_at[v].is_empty() {
+                continue;
+            }
+            let at = base.vertices[v];
+            let (mut sum, mut weight, mut normal) = (Vec3::zeros(), 0.0, Vec3::zeros());
+            for face in &faces_at[v] {
+                let [a, b, c] = base.faces[*face as usize].map(|v| base.vertices[v as usize]);
+                let area = (b - a).cross(&(c - a));
+                sum += (a + b + c) / 3.0 * area.norm();
+                weight += area.norm();
+                normal += area;
+            }
+            let Some(normal) = normal.try_normalize(1e-300) else {
+                continue;
+            };
+            let pull = (sum / weight - at) * 0.7;
+            let Some(to) = project(&(at + pull - normal * normal.dot(&pull))) else {
+                continue;
+            };
+            let before = star_quality(base, &faces_at[v], &normal);
+            base.vertices[v] = to;
+            if star_quality(base, &faces_at[v], &normal) < before.min(0.1) {
+                base.vertices[v] = at;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Worst quality (area over squared sides; equilateral 0.289) of some faces, negative if one turns away from
+/// `normal`.
+fn star_quality(base: &Base, faces: &[u32], normal: &Vec3) -> f64 {
+    faces
+        .iter()
+        .map(|face| {
+            let [a, b, c] = base.faces[*face as usize].map(|v| base.vertices[v as usize]);
+            let area = (b - a).cross(&(c - a));
+            let sides = (b - a).norm_squared() + (c - b).norm_squared() + (a - c).norm_squared();
+            let quality = area.norm() / sides.max(1e-300);
+            if area.dot(normal) > 0.0 {
+                quality
+            } else {
+                -quality
+            }
+        })
+        .fold(f64::INFINITY, f64::min)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,0 +1,272 @@
+//! `palpus reconstruct`: points with normals in, a smooth surface out.
+
+use super::{Common, Exit, Failure};
+use anyhow::{Context, anyhow};
+use palpus_host::cloud::{self, Cloud};
+use palpus_host::export::surface_file::Provenance;
+use palpus_host::export::{Origin, SurfaceFile, sampled_from_mesh, step, write_bytes, write_mesh};
+use palpus_host::picture::{FigureOptions, Stages, View};
+use palpus_host::reconstruct::extract;
+use palpus_host::reconstruct::fit::NormalTerm;
+use palpus_host::reconstruct::{Options, Progress, Reconstruction, Stage, reconstruct};
+use palpus_host::run::points::points;
+use palpus_host::spline::SampledSurface;
+use std::fs::File;
+use std::io::{IsTerminal, Read};
+use std::path::PathBuf;
+
+/// Reconstruct a surface from points with normals.
+#[derive(clap::Args, Debug)]
+pub struct Args {
+    /// Runs (.mcap) or point files with normals (.ply, .xyz, .csv, .pcd); several are joined.
+    #[arg(required = true)]
+    input: Vec<PathBuf>,
+    /// Surface file to write (.json).
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    /// Largest distance of a point from the surface, in the unit of the input.
+    /// Default: 1e-3 of the bounding box's diagonal, or three times the noise found, whichever is larger.
+    #[arg(long, value_name = "E")]
+    tolerance: Option<f64>,
+    /// Weight of the normals relative to the positions. Default: from the noise of both.
+    #[arg(long, value_name = "L")]
+    lambda: Option<f64>,
+    /// How the measured normal enters the fit.
+    #[arg(long, value_enum, default_value_t = Term::ParameterFree)]
+    normal_term: Term,
+    /// Most patches.
+    #[arg(long, value_name = "N", default_value_t = 20_000)]
+    max_patches: usize,
+    /// Rounds of fit and reparameterisation per level.
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    rounds: usize,
+    /// Mesh to write, by extension .ply, .obj, .stl or .glb; may be given several times.
+    #[arg(long, value_name = "FILE")]
+    mesh: Vec<PathBuf>,
+    /// Edge length of the meshes' triangles, in the unit of the input.
+    #[arg(long, value_name = "H", conflicts_with = "mesh_per_patch")]
+    mesh_step: Option<f64>,
+    /// Cut each patch edge in so many segments.
+    #[arg(long, value_name = "K", default_value_t = 12)]
+    mesh_per_patch: usize,
+    /// CAD file to write (.step): the patches themselves, without approximation.
+    #[arg(long, value_name = "FILE")]
+    step: Option<PathBuf>,
+    /// Report to write (.json).
+    #[arg(long, value_name = "FILE")]
+    report: Option<PathBuf>,
+    /// Folder for pictures of every stage (.png); made if need be.
+    #[arg(long, value_name = "DIR")]
+    figures: Option<PathBuf>,
+    /// Where the pictures are taken from: azimuth,elevation in degrees.
+    #[arg(long, value_name = "A,E", allow_hyphen_values = true)]
+    view: Option<View>,
+    /// How the field of phase 1 is made.
+    #[arg(long, value_enum, default_value_t = FieldMethod::Hermite)]
+    field: FieldMethod,
+    /// Unit of the input's lengths (mm, cm, m, in); kept in the files that can say it.
+    #[arg(long, value_name = "UNIT")]
+    units: Option<String>,
+    /// Threads; the result does not depend on them. Default: all cores.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Seed; kept in the surface file. Nothing in the reconstruction is random.
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    seed: u64,
+    /// Stop after this phase and write what there is.
+    #[arg(long, value_enum)]
+    stop_after: Option<StopAfter>,
+    /// Leave with code 4 if the tolerance is not met.
+    #[arg(long)]
+    strict: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Term {
+    /// The component of the measured normal in the tangent plane.
+    ParameterFree,
+    /// Tangents in the frame of the base triangle (the paper's eqs. 7 and 8).
+    FaceFrame,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum FieldMethod {
+    /// Local Gaussian-process fits to positions and normals, blended.
+    Hermite,
+    /// The paper's distance to averaged tangent planes.
+    TangentPlanes,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum StopAfter {
+    /// The dense mesh of phase 1.
+    Extract,
+    /// The base mesh of phase 2.
+    Simplify,
+    /// The fitted network of phase 3.
+    Fit,
+}
+
+/// Runs the command.
+pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
+    let cloud = read(&args.input)?;
+    let options = Options {
+        tolerance: args.tolerance,
+        lambda: args.lambda,
+        normal_term: match args.normal_term {
+            Term::ParameterFree => NormalTerm::ParameterFree,
+            Term::FaceFrame => NormalTerm::FaceFrame,
+        },
+        max_patches: args.max_patches,
+        rounds: args.rounds,
+        threads: args.threads,
+        stop_after: match args.stop_after {
+            Some(StopAfter::Extract) => Stage::Extract,
+            Some(StopAfter::Simplify) => Stage::Simplify,
+            Some(StopAfter::Fit) => Stage::Fit,
+            None => Stage::Refine,
+        },
+        extract: extract::Options {
+            method: match args.field {
+                FieldMethod::Hermite => extract::Options::default().method,
+                FieldMethod::TangentPlanes => extract::Method::TangentPlanes,
+            },
+            ..extract::Options::default()
+        },
+        ..Options::default()
+    };
+    if args.output.is_some() && options.stop_after < Stage::Fit {
+        return Err(Failure::new(
+            Exit::Usage,
+            anyhow!(
+                "--stop-after extract and simplify end before there is a surface, so -o has nothing to write; leave it out and use --mesh for the triangles of that stage"
+            ),
+        ));
+    }
+    let show = common.verbose > 0 || std::io::stderr().is_terminal();
+    let result = reconstruct(&cloud, &options, &|progress| {
+        if show {
+            match progress {
+                Progress::Phase(name) => eprintln!("{name} …"),
+                Progress::Level(level, patches) => {
+                    eprintln!("  level {level}: {patches} patches");
+                }
+            }
+        }
+    })
+    .map_err(|e| Failure::new(Exit::Input, e))?;
+    write(args, &cloud, &result)?;
+    if common.json {
+        print!("{}", result.report.to_json());
+    } else {
+        print!("{}", super::table::report(&result.report));
+    }
+    let met = result.report.error.as_ref().is_none_or(|e| e.met);
+    Ok(if args.strict && !met {
+        Exit::Tolerance
+    } else {
+        Exit::Done
+    })
+}
+
+/// First bytes of a run.
+const RUN_MAGIC: &[u8] = b"\x89MCAP0\r\n";
+
+/// Reads and joins the inputs, runs and point files alike.
+pub fn read(inputs: &[PathBuf]) -> Result<Cloud, Failure> {
+    let mut all = Cloud::default();
+    for path in inputs {
+        let is_run = File::open(path).is_ok_and(|mut file| {
+            let mut head = [0; RUN_MAGIC.len()];
+            file.read_exact(&mut head).is_ok() && head == RUN_MAGIC
+        });
+        let cloud = if is_run {
+            points(std::slice::from_ref(path), None)
+                .map_err(|e| Failure::new(Exit::Input, e))?
+                .cloud
+        } else {
+            cloud::read(path).map_err(|e| Failure::new(Exit::Input, e))?
+        };
+        all.append(cloud);
+    }
+    Ok(all)
+}
+
+/// Writes what was asked for.
+fn write(args: &Args, cloud: &Cloud, result: &Reconstruction) -> Result<(), Failure> {
+    let input = |e: anyhow::Error| Failure::new(Exit::Input, e);
+    if let (Some(path), Some(surface)) = (&args.output, &result.surface) {
+        let file = SurfaceFile {
+            surface: surface.clone(),
+            units: args.units.clone(),
+            provenance: provenance(args).map_err(input)?,
+            error: result.report.error.clone(),
+        };
+        file.write(path).map_err(|e| input(e.into()))?;
+    }
+    if let (Some(path), Some(surface)) = (&args.step, &result.surface) {
+        step::write(path, surface, args.units.as_deref()).map_err(|e| input(e.into()))?;
+    }
+    if let Some(folder) = &args.figures {
+        let figures = FigureOptions {
+            view: args.view.unwrap_or_default(),
+            unit: args.units.clone().unwrap_or_default(),
+            ..FigureOptions::default()
+        };
+        stages(cloud, result)
+            .draw(folder, &figures)
+            .map_err(|e| input(e.into()))?;
+    }
+    for path in &args.mesh {
+        let sampled = sample(args, result).map_err(input)?;
+        write_mesh(path, &sampled).map_err(|e| input(e.into()))?;
+    }
+    if let Some(path) = &args.report {
+        write_bytes(path, result.report.to_json().as_bytes()).map_err(|e| input(e.into()))?;
+    }
+    Ok(())
+}
+
+/// Everything that can be drawn.
+pub fn stages<'a>(cloud: &'a Cloud, result: &'a Reconstruction) -> Stages<'a> {
+    Stages {
+        cloud: Some(cloud),
+        extracted: Some(&result.extracted),
+        simplified: result.simplified.as_ref(),
+        fitted: result.fitted.as_ref(),
+        refined: result.surface.as_ref(),
+    }
+}
+
+/// The triangles of the last stage that ran.
+fn sample(args: &Args, result: &Reconstruction) -> anyhow::Result<SampledSurface> {
+    match (&result.surface, args.mesh_step) {
+        (Some(surface), Some(step)) => Ok(surface.sample(step)?),
+        (Some(surface), None) => Ok(surface.sample_per_patch(args.mesh_per_patch)?),
+        (None, _) => Ok(sampled_from_mesh(
+            result.simplified.as_ref().unwrap_or(&result.extracted),
+        )),
+    }
+}
+
+fn provenance(args: &Args) -> anyhow::Result<Provenance> {
+    let inputs = args
+        .input
+        .iter()
+        .map(|path| {
+            Origin::of_file(path).with_context(|| format!("{}: cannot be read", path.display()))
+        })
+        .collect::<anyhow::Result<_>>()?;
+    let mut options = std::collections::BTreeMap::new();
+    let mut put = |name: &str, value: serde_json::Value| {
+        if !value.is_null() {
+            options.insert(name.to_owned(), value);
+        }
+    };
+    put("tolerance", args.tolerance.into());
+    put("lambda", args.lambda.into());
+    put("max-patches", args.max_patches.into());
+    put("rounds", args.rounds.into());
+    put("seed", args.seed.into());
+    Ok(Provenance { inputs, options })
+}

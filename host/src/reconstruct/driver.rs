@@ -1,0 +1,546 @@
+//! The driver: runs the four phases one after the other and says what each did.
+
+use super::extract::{self, ExtractError, Extracted};
+use super::fit::foot::Foot;
+use super::fit::{Datum, FitOptions, Kind, NormalTerm};
+use super::frame::Frame;
+use super::refine::templates::Base;
+use super::simplify::{self, CreaseLines, Simplified, SimplifyError};
+use super::surfacing::{
+    Fitted, RefineEnd, SurfacingError, SurfacingOptions, distances, fit_base, normal_angles, refine,
+};
+use crate::Vec3;
+use crate::cloud::Cloud;
+use crate::mesh::TriangleMesh;
+use crate::report::{
+    ErrorFigures, InputFigures, NormalFigures, PhaseFigures, Report, SurfaceFigures,
+};
+use crate::spline::edges::EdgeTable;
+use crate::spline::{Surface, SurfaceError};
+use std::time::Instant;
+
+/// A phase after which the reconstruction can be stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stage {
+    /// Phase 1: the dense mesh.
+    Extract,
+    /// Phase 2: the base mesh.
+    Simplify,
+    /// Phase 3: the fitted network.
+    Fit,
+    /// Phase 4: the refined network.
+    Refine,
+}
+
+/// What steers a reconstruction; lengths in the unit of the input.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Largest distance of a point from the surface. Without it 1e-3 of the bounding box's diagonal or three
+    /// times the noise found, whichever is larger.
+    pub tolerance: Option<f64>,
+    /// Weight of the normal term relative to the squared distance, for tangents of unit parameter length
+    /// (paper, eq. 9). Without it from the noise of positions and normals.
+    pub lambda: Option<f64>,
+    /// How the measured normal enters.
+    pub normal_term: NormalTerm,
+    /// Most patches.
+    pub max_patches: usize,
+    /// Rounds of fit and reparameterisation.
+    pub rounds: usize,
+    /// Stop after this phase.
+    pub stop_after: Stage,
+    /// Phase 1.
+    pub extract: extract::Options,
+    /// Phase 2. Its accuracy, where it is not set, follows from tolerance and noise.
+    pub simplify: simplify::Options,
+    /// Threads; without it all cores. The result does not depend on it.
+    pub threads: Option<usize>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            tolerance: None,
+            lambda: None,
+            normal_term: NormalTerm::default(),
+            max_patches: 20_000,
+            rounds: 4,
+            stop_after: Stage::Refine,
+            extract: extract::Options::default(),
+            simplify: simplify::Options::default(),
+            threads: None,
+        }
+    }
+}
+
+/// Why a reconstruction ended without a surface.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum ReconstructError {
+    /// The points have no extent.
+    #[error(
+        "the {0} points have no extent: they coincide or are not finite; check the input and its unit"
+    )]
+    NoExtent(usize),
+    /// An option has no meaning.
+    #[error("option {name} is {value}; it has to be {range}")]
+    BadOption {
+        /// The option.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        range: &'static str,
+    },
+    /// Phase 1 failed.
+    #[error("extraction: {0}")]
+    Extract(#[from] ExtractError),
+    /// Phase 2 failed.
+    #[error("simplification: {0}")]
+    Simplify(#[from] SimplifyError),
+    /// Phase 3 or 4 failed.
+    #[error("fit: {0}")]
+    Surfacing(#[from] SurfacingError),
+    /// The result is no valid surface.
+    #[error("result: {0}")]
+    Surface(#[from] SurfaceError),
+    /// Threads could not be started.
+    #[error("threads could not be started ({0}); ask for fewer with --threads")]
+    Threads(String),
+}
+
+/// What a reconstruction made, stage by stage, in the input's coordinates.
+#[derive(Clone, Debug, Default)]
+pub struct Reconstruction {
+    /// Mesh after phase 1.
+    pub extracted: TriangleMesh,
+    /// Mesh after phase 2.
+    pub simplified: Option<TriangleMesh>,
+    /// Surface after phase 3.
+    pub fitted: Option<Surface>,
+    /// The last surface made: after phase 4, or phase 3 if stopped there.
+    pub surface: Option<Surface>,
+    /// Distance of each usable row of the input to the surface; NaN where there is none (outliers).
+    pub distances: Vec<f64>,
+    /// Everything in figures.
+    pub report: Report,
+}
+
+/// What is going on, for a caller that shows progress.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Progress {
+    /// A phase began.
+    Phase(&'static str),
+    /// A level of refinement ended with so many patches.
+    Level(usize, usize),
+}
+
+/// Runs the phases on `cloud`.
+///
+/// # Errors
+/// See [`ReconstructError`]. A tolerance that cannot be met is no error: the report says why.
+pub fn reconstruct(
+    cloud: &Cloud,
+    options: &Options,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<Reconstruction, ReconstructError> {
+    let threads = options.threads.unwrap_or(0);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| ReconstructError::Threads(e.to_string()))?;
+    pool.install(|| run(cloud, options, progress))
+}
+
+/// Weight of the samples of the extracted surface relative to a measured point. The field carries the
+/// smoothing across gaps; below 0.1 starved patches lean out, above 1 the measured points are no longer heard
+/// (torus, bean, two-holed torus, mug).
+const FIELD_WEIGHT: f64 = 1.0;
+/// Samples of the extracted surface: at most so many, and at least so many per patch where the mesh has them.
+const FIELD_SAMPLES: usize = 6000;
+const FIELD_SAMPLES_PER_PATCH: usize = 40;
+
+fn run(
+    cloud: &Cloud,
+    options: &Options,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<Reconstruction, ReconstructError> {
+    let begin = Instant::now();
+    check(options)?;
+    let frame = Frame::of(cloud).ok_or(ReconstructError::NoExtent(cloud.points.len()))?;
+    let inner = frame.cloud(cloud);
+    let mut out = Reconstruction {
+        distances: vec![f64::NAN; cloud.points.len()],
+        ..Reconstruction::default()
+    };
+    out.report.input = InputFigures::of(cloud);
+    out.report.threads = rayon::current_num_threads();
+    out.report.version = env!("CARGO_PKG_VERSION").to_owned();
+
+    progress(Progress::Phase("extract"));
+    let started = Instant::now();
+    let mut extract_options = options.extract.clone();
+    extract_options.spacing = extract_options.spacing.map(|s| s / frame.scale);
+    let extracted = extract::extract(&inner, &extract_options)?;
+    out.extracted = frame.mesh(&extracted.mesh);
+    let noise = extracted.noise;
+    out.report.input.used = cloud.points.len() - extracted.outliers.len();
+    out.report.input.noise_sigma = noise.position_sigma * frame.scale;
+    out.report.input.noise_normal_degrees = noise.normal_sigma.to_degrees();
+    out.report.phases.push(PhaseFigures {
+        name: "extract".into(),
+        seconds: started.elapsed().as_secs_f64(),
+        triangles: Some(extracted.mesh.faces.len()),
+        ..PhaseFigures::default()
+    });
+    if options.stop_after == Stage::Extract {
+        out.report.seconds = begin.elapsed().as_secs_f64();
+        return Ok(out);
+    }
+
+    progress(Progress::Phase("simplify"));
+    let started = Instant::now();
+    let (tolerance, tolerance_from) = tolerance(options, &frame, noise.position_sigma);
+    let simplified = simplify_mesh(&inner, &extracted, options, tolerance)?;
+    out.simplified = Some(frame.mesh(&simplified.mesh));
+    out.report.phases.push(PhaseFigures {
+        name: "simplify".into(),
+        seconds: started.elapsed().as_secs_f64(),
+        triangles: Some(simplified.mesh.faces.len()),
+        ..PhaseFigures::default()
+    });
+    if options.stop_after == Stage::Simplify {
+        out.report.seconds = begin.elapsed().as_secs_f64();
+        return Ok(out);
+    }
+
+    progress(Progress::Phase("fit"));
+    let started = Instant::now();
+    let (data, numbers) = data(&inner, &extracted, &simplified, options);
+    let surfacing = SurfacingOptions {
+        fit: FitOptions {
+            rounds: options.rounds,
+            normal_term: options.normal_term,
+            smoothing: smoothing(noise.position_sigma),
+            outlier_scale: 6.0 * noise.position_sigma.max(1e-4),
+        },
+        tolerance,
+        noise_sigma: noise.position_sigma,
+        max_patches: options.max_patches,
+        max_levels: 12,
+    };
+    let base = Base {
+        vertices: simplified.mesh.positions.clone(),
+        faces: simplified.mesh.faces.clone(),
+        creases: simplified.creases.clone(),
+        corners: simplified.corners.clone(),
+    };
+    let fitted = fit_base(base, &data, &surfacing.fit)?;
+    out.fitted = Some(frame.surface(&fitted.surface));
+    out.report.phases.push(phase_with_errors(
+        "fit",
+        started,
+        &fitted,
+        &data,
+        frame.scale,
+        Some(options.rounds),
+        None,
+    ));
+
+    let mut last = fitted;
+    let mut end = None;
+    if options.stop_after == Stage::Refine {
+        progress(Progress::Phase("refine"));
+        let started = Instant::now();
+        let project = |x: &Vec3| extracted.field.project(x);
+        let (refined, levels, why) =
+            refine(last, &data, &surfacing, &project, |level, patches| {
+                progress(Progress::Level(level, patches));
+            })?;
+        out.report.phases.push(phase_with_errors(
+            "refine",
+            started,
+            &refined,
+            &data,
+            frame.scale,
+            None,
+            Some(levels),
+        ));
+        end = Some(why);
+        last = refined;
+    }
+    finish(&mut out, &frame, last, &data, &numbers)?;
+    judge(
+        &mut out.report,
+        tolerance * frame.scale,
+        tolerance_from,
+        end,
+        &extracted.outliers,
+    );
+    out.report.seconds = begin.elapsed().as_secs_f64();
+    Ok(out)
+}
+
+fn check(options: &Options) -> Result<(), ReconstructError> {
+    let positive = |name, value: Option<f64>| match value {
+        Some(value) if !(value > 0.0 && value.is_finite()) => Err(ReconstructError::BadOption {
+            name,
+            value,
+            range: "a number above 0",
+        }),
+        _ => Ok(()),
+    };
+    positive("tolerance", options.tolerance)?;
+    if let Some(value) = options.lambda
+        && !(value >= 0.0 && value.is_finite())
+    {
+        return Err(ReconstructError::BadOption {
+            name: "lambda",
+            value,
+            range: "0 or above",
+        });
+    }
+    if options.rounds == 0 || options.max_patches == 0 {
+        return Err(ReconstructError::BadOption {
+            name: if options.rounds == 0 {
+                "rounds"
+            } else {
+                "max-patches"
+            },
+            value: 0.0,
+            range: "at least 1",
+        });
+    }
+    Ok(())
+}
+
+/// The tolerance in the frame, and where it comes from.
+fn tolerance(options: &Options, frame: &Frame, sigma: f64) -> (f64, &'static str) {
+    match options.tolerance {
+        Some(tolerance) => (tolerance / frame.scale, "asked for"),
+        None if 3.0 * sigma > 1e-3 => (3.0 * sigma, "three times the noise found in the data"),
+        None => (1e-3, "1e-3 of the bounding box's diagonal"),
+    }
+}
+
+/// Weight of the energy per datum: the noise variance over the energy that shapes of interest have.
+fn smoothing(sigma: f64) -> f64 {
+    // Trials with noise of 3e-3 of the diagonal did best near 1e-3, clean ones need 1e-6 or less.
+    (1e-3 * (sigma / 3e-3).powi(2)).clamp(1e-7, 1e-2)
+}
+
+fn simplify_mesh(
+    inner: &Cloud,
+    extracted: &Extracted,
+    options: &Options,
+    tolerance: f64,
+) -> Result<Simplified, SimplifyError> {
+    let mut simplify_options = options.simplify.clone();
+    simplify_options.accuracy.get_or_insert(tolerance);
+    let field = &extracted.field;
+    let project = |x: &Vec3| {
+        let foot = field.project(x)?;
+        let normal = field.gradient(&foot).try_normalize(1e-12)?;
+        Some((foot, normal))
+    };
+    simplify::simplify(
+        &extracted.mesh,
+        inner,
+        &CreaseLines::default(),
+        &simplify_options,
+        Some(&project),
+    )
+}
+
+/// Measured inliers, samples of the extracted surface and of its border, with the number of the input point
+/// behind each measured one.
+fn data(
+    inner: &Cloud,
+    extracted: &Extracted,
+    simplified: &Simplified,
+    options: &Options,
+) -> (Vec<Datum>, Vec<usize>) {
+    let noise = extracted.noise;
+    // Floors: interpolation is never asked beyond 1e-5 of the size and 0.05 degrees.
+    let sigma = noise.position_sigma.max(1e-5);
+    let normal_weight = match options.lambda {
+        Some(lambda) => {
+            let faces = simplified.mesh.faces.len().max(1) as f64;
+            lambda * simplified.mesh.area() / faces
+        }
+        None => (sigma / noise.normal_sigma.max(1e-3)).powi(2),
+    };
+    let mut stated: Vec<f64> = inner.points.iter().filter_map(|p| p.sigma).collect();
+    stated.sort_by(f64::total_cmp);
+    let typical = stated.get(stated.len() / 2).copied().filter(|s| *s > 0.0);
+    let mut data = Vec::new();
+    let mut numbers = Vec::new();
+    let mut outliers = extracted.outliers.iter().peekable();
+    for (number, point) in inner.points.iter().enumerate() {
+        if outliers.next_if_eq(&&number).is_some() {
+            continue;
+        }
+        let weight = match (point.sigma, typical) {
+            (Some(s), Some(t)) => (t / s.max(0.05 * t)).powi(2),
+            _ => 1.0,
+        };
+        numbers.push(number);
+        data.push(Datum {
+            position: point.position,
+            normal: point.normal.try_normalize(0.0).unwrap_or_else(Vec3::z),
+            weight,
+            normal_weight,
+            kind: Kind::Measured,
+        });
+    }
+    let mesh = &extracted.mesh;
+    let wanted = FIELD_SAMPLES.max(FIELD_SAMPLES_PER_PATCH * simplified.mesh.faces.len());
+    let stride = mesh.positions.len().div_ceil(wanted).max(1);
+    for position in mesh.positions.iter().step_by(stride) {
+        let Some(normal) = extracted.field.gradient(position).try_normalize(1e-12) else {
+            continue;
+        };
+        data.push(Datum {
+            position: *position,
+            normal,
+            weight: FIELD_WEIGHT,
+            normal_weight,
+            kind: Kind::Field,
+        });
+    }
+    data.extend(border(mesh).into_iter().map(|position| Datum {
+        position,
+        normal: Vec3::z(),
+        weight: FIELD_WEIGHT,
+        normal_weight: 0.0,
+        kind: Kind::Line,
+    }));
+    (data, numbers)
+}
+
+/// Vertices and middles of the border edges of the extracted mesh.
+fn border(mesh: &TriangleMesh) -> Vec<Vec3> {
+    let Ok(table) = EdgeTable::new(mesh.positions.len(), &mesh.faces) else {
+        return Vec::new();
+    };
+    table
+        .edges
+        .iter()
+        .filter(|edge| edge.is_border())
+        .flat_map(|edge| {
+            let [a, b] = edge.vertices.map(|v| mesh.positions[v as usize]);
+            [a, (a + b) / 2.0]
+        })
+        .collect()
+}
+
+fn phase_with_errors(
+    name: &str,
+    started: Instant,
+    fitted: &Fitted,
+    data: &[Datum],
+    scale: f64,
+    rounds: Option<usize>,
+    levels: Option<usize>,
+) -> PhaseFigures {
+    let figures = figures(distances(data, &fitted.feet).map(|d| d * scale));
+    PhaseFigures {
+        name: name.into(),
+        seconds: started.elapsed().as_secs_f64(),
+        triangles: None,
+        patches: Some(fitted.base.faces.len()),
+        rounds,
+        levels,
+        error_sum: Some(figures.sum),
+        error_abs_sum: Some(figures.abs_sum),
+        error_rms: Some(figures.rms),
+        error_max: Some(figures.max),
+    }
+}
+
+/// Sums over distances.
+fn figures(distances: impl Iterator<Item = f64>) -> ErrorFigures {
+    let mut out = ErrorFigures::default();
+    let mut count = 0usize;
+    for distance in distances {
+        out.sum += distance * distance;
+        out.abs_sum += distance;
+        out.max = out.max.max(distance);
+        count += 1;
+    }
+    out.rms = (out.sum / count.max(1) as f64).sqrt();
+    out
+}
+
+/// Measures the surface and fills the report.
+fn finish(
+    out: &mut Reconstruction,
+    frame: &Frame,
+    last: Fitted,
+    data: &[Datum],
+    numbers: &[usize],
+) -> Result<(), ReconstructError> {
+    let measures = last.surface.measure()?;
+    out.report.surface = Some(SurfaceFigures::of(&last.surface, &measures));
+    out.report.error = Some(figures(
+        distances(data, &last.feet).map(|d| d * frame.scale),
+    ));
+    let (mut sum, mut max, mut count) = (0.0, 0.0f64, 0usize);
+    for angle in normal_angles(data, &last.feet) {
+        sum += angle;
+        max = max.max(angle);
+        count += 1;
+    }
+    out.report.normals = Some(NormalFigures {
+        mean_degrees: sum / count.max(1) as f64,
+        max_degrees: max,
+    });
+    let feet = data
+        .iter()
+        .zip(&last.feet)
+        .filter(|(d, _)| d.kind == Kind::Measured);
+    for (number, (datum, foot)) in numbers.iter().zip(feet) {
+        let foot: &Option<Foot> = foot;
+        if let Some(foot) = foot {
+            out.distances[*number] = (datum.position - foot.point).norm() * frame.scale;
+        }
+    }
+    out.surface = Some(frame.surface(&last.surface));
+    Ok(())
+}
+
+/// Says whether the tolerance is met, and if not, why.
+fn judge(
+    report: &mut Report,
+    tolerance: f64,
+    from: &str,
+    end: Option<RefineEnd>,
+    outliers: &[usize],
+) {
+    let sigma = report.input.noise_sigma;
+    let Some(error) = &mut report.error else {
+        return;
+    };
+    error.tolerance = tolerance;
+    error.outliers = outliers.len();
+    error.outlier_points = outliers.to_vec();
+    error.met = error.max <= tolerance;
+    error.reason = if error.met {
+        Some(format!("tolerance: {from}"))
+    } else {
+        Some(match end {
+            Some(RefineEnd::Noise) => format!(
+                "what lies beyond the tolerance ({from}) is noise, standard deviation {sigma:.3e}: finer patches would follow the noise, not the surface"
+            ),
+            Some(RefineEnd::PatchLimit) => {
+                "the next level would have more patches than --max-patches allows".to_owned()
+            }
+            Some(RefineEnd::LevelLimit) => {
+                "the limit on levels of refinement was reached".to_owned()
+            }
+            Some(RefineEnd::NoGain) => {
+                "a further level brought no point closer: the data there contradict each other or are too sparse".to_owned()
+            }
+            Some(RefineEnd::Met) | None => "stopped before refinement".to_owned(),
+        })
+    };
+}
