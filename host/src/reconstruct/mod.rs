@@ -1,6 +1,5 @@
 //! The four phases, and the driver that runs them. The only place where cloud, mesh and spline meet.
 
-pub mod creases;
 mod driver;
 pub mod extract;
 pub mod fit;
