@@ -5,6 +5,7 @@
 //! from the first to the last. Everything is `f64`; lengths are in the unit of the input.
 
 pub mod cloud;
+pub mod demo;
 pub mod evaluate;
 pub mod export;
 pub mod hand;

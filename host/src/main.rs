@@ -18,6 +18,7 @@ struct Palpus {
 /// One variant per subcommand; each lives in `cli/<name>.rs` as `Args` and `run(&Common, Args)`.
 #[derive(clap::Subcommand)]
 enum Command {
+    Demo(cli::demo::Args),
     /// Move a simulated hand over an object.
     Simulate(cli::simulate::Args),
     Evaluate(cli::evaluate::Args),
@@ -31,6 +32,7 @@ enum Command {
 fn main() -> ExitCode {
     let palpus = Palpus::parse();
     let outcome: Result<cli::Exit, cli::Failure> = match palpus.command {
+        Command::Demo(args) => cli::demo::run(&palpus.common, args),
         Command::Simulate(args) => cli::simulate::run(&palpus.common, args),
         Command::Evaluate(args) => cli::evaluate::run(&palpus.common, args),
         Command::Board(args) => cli::board::run(&palpus.common, args),

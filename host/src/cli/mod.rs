@@ -2,6 +2,7 @@
 
 pub mod board;
 pub mod capture;
+pub mod demo;
 pub mod evaluate;
 pub mod points;
 pub mod reconstruct;

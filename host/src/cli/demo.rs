@@ -1,0 +1,214 @@
+//! `palpus demo`: no hardware; a simulated hand, real terminals, a surface, and what to open.
+
+use super::reconstruct::stages;
+use super::{Common, Exit, Failure, simulate};
+use anyhow::Context;
+use palpus_host::cloud::write_ply;
+use palpus_host::demo::{Demo, Step, demo};
+use palpus_host::export::surface_file::Provenance;
+use palpus_host::export::{Origin, SurfaceFile, step, write_bytes, write_mesh};
+use palpus_host::hand::Hand;
+use palpus_host::picture::{FigureOptions, Page};
+use palpus_host::reconstruct::{Options, Progress};
+use palpus_host::run::capture::CaptureEvent;
+use palpus_host::simulate::{HandOptions, Noise};
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Explore an object with a simulated three-finger hand and reconstruct it.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// What to touch: sphere, ellipsoid, torus, two-holed-torus, mug, bowl, bean, trilobe, cube, cylinder, or a
+    /// closed mesh file (.ply, .obj, .stl).
+    #[arg(long, value_name = "NAME|FILE", default_value = "torus")]
+    object: String,
+    /// Longest side of an object from a mesh file, in millimetres [default: 150].
+    #[arg(long, value_name = "MM")]
+    size: Option<f64>,
+    /// Folder for everything that is written; made if need be.
+    #[arg(long, value_name = "DIR", default_value = "palpus-demo")]
+    out: PathBuf,
+    /// Everything random follows from this.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Fingers to use, 1 to 3.
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    fingers: usize,
+    /// Imperfection of gauges and encoders: none, default, or how many times the default.
+    #[arg(long, value_name = "none|default|FACTOR", default_value = "default", value_parser = simulate::noise)]
+    noise: Noise,
+    /// Contacts in which the object is gone over once; at 200 Hz and three fingers, 600 a second.
+    #[arg(long, value_name = "N", default_value_t = 6000)]
+    contacts: usize,
+    /// How much faster than 200 Hz the boards sample and the fingers move.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    speed: f64,
+    /// Largest distance of a contact from the surface, millimetres. Default: from size and noise.
+    #[arg(long, value_name = "MM")]
+    tolerance: Option<f64>,
+    /// Threads; the surface does not depend on them. Default: all cores.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+}
+
+/// Runs the command.
+pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
+    let device = |e: anyhow::Error| Failure::new(Exit::Device, e);
+    let object = simulate::object(&args.object, args.size)?;
+    let mut hand = HandOptions::new(object);
+    hand.fingers = args.fingers;
+    hand.noise = args.noise;
+    hand.contacts = args.contacts;
+    hand.speed = args.speed;
+    hand.seed = args.seed;
+    let options = Options {
+        tolerance: args.tolerance,
+        threads: args.threads,
+        ..Options::default()
+    };
+    std::fs::create_dir_all(&args.out)
+        .with_context(|| {
+            format!(
+                "{}: cannot be made; choose another folder with --out",
+                args.out.display()
+            )
+        })
+        .map_err(|e| Failure::new(Exit::Input, e))?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&stop);
+    ctrlc::set_handler(move || told.store(true, Ordering::Relaxed))
+        .map_err(|e| device(e.into()))?;
+    let show = common.verbose > 0 || std::io::stderr().is_terminal();
+    if show {
+        eprintln!("planning tracks over the {} …", args.object);
+    }
+    let result = demo(
+        &hand,
+        &args.out.join("run.mcap"),
+        &options,
+        &stop,
+        &|step| {
+            if show {
+                tell(&step);
+            }
+        },
+    )
+    .map_err(|e| device(e.into()))?;
+    if show {
+        eprintln!("\nwriting {} …", args.out.display());
+    }
+    write(&args, &result).map_err(|e| Failure::new(Exit::Input, e))?;
+    if common.json {
+        println!("{}", json(&args, &result));
+    } else {
+        print!("{}", super::table::demo(&args.object, &args.out, &result));
+    }
+    Ok(if stop.load(Ordering::Relaxed) {
+        Exit::Interrupted
+    } else {
+        Exit::Done
+    })
+}
+
+fn tell(step: &Step<'_>) {
+    match step {
+        Step::Capture(CaptureEvent::Found {
+            finger,
+            port,
+            identity,
+        }) => eprintln!(
+            "{finger}: board `{}` on {port}, {} Hz",
+            identity.finger_name,
+            1_000_000 / identity.period_us.max(1)
+        ),
+        Step::Capture(CaptureEvent::Progress(progress)) => {
+            let valid: u64 = progress.fingers.iter().map(|(_, s)| s.valid).sum();
+            eprint!(
+                "\rtouching: {:5.1} s, {valid} valid contacts ",
+                progress.elapsed.as_secs_f64()
+            );
+        }
+        Step::Capture(CaptureEvent::Note { finger, text, .. }) => eprintln!("{finger}: {text}"),
+        Step::Reconstruct(Progress::Phase(name)) => eprint!("\n{name} …"),
+        Step::Reconstruct(Progress::Level(level, patches)) => {
+            eprint!(" level {level}: {patches} patches");
+        }
+    }
+}
+
+/// Writes everything into the folder.
+fn write(args: &Args, result: &Demo) -> anyhow::Result<()> {
+    let at = |name: &str| args.out.join(name);
+    write_bytes(&at("hand.urdf"), Hand::THREE_FINGER_URDF.as_bytes())?;
+    let mut bytes = Vec::new();
+    write_ply(&result.cloud, &mut bytes)?;
+    write_bytes(&at("points.ply"), &bytes)?;
+    let report = &result.reconstruction.report;
+    write_bytes(&at("report.json"), report.to_json().as_bytes())?;
+    let Some(surface) = &result.reconstruction.surface else {
+        return Ok(());
+    };
+    let file = SurfaceFile {
+        surface: surface.clone(),
+        units: Some("mm".into()),
+        provenance: Provenance {
+            inputs: vec![Origin::of_file(&at("run.mcap"))?],
+            options: std::collections::BTreeMap::new(),
+        },
+        error: report.error.clone(),
+    };
+    file.write(&at("surface.json"))?;
+    let sampled = surface.sample_per_patch(12)?;
+    for name in ["surface.ply", "surface.stl", "surface.glb"] {
+        write_mesh(&at(name), &sampled)?;
+    }
+    step::write(&at("surface.step"), surface, Some("mm"))?;
+    let page = Page {
+        title: &args.object,
+        file: &file,
+        report: Some(report),
+        cloud: Some(&result.cloud),
+    };
+    write_bytes(&at("report.html"), page.html()?.as_bytes())?;
+    let figures = FigureOptions {
+        unit: "mm".into(),
+        ..FigureOptions::default()
+    };
+    stages(&result.cloud, &result.reconstruction).draw(&at("figures"), &figures)?;
+    Ok(())
+}
+
+fn json(args: &Args, result: &Demo) -> serde_json::Value {
+    let fingers: Vec<serde_json::Value> = result
+        .runs
+        .iter()
+        .flat_map(|run| &run.fingers)
+        .map(|f| {
+            serde_json::json!({
+                "finger": f.finger, "contacts": f.contacts, "valid": f.valid, "lost": f.lost,
+                "out_of_order": f.out_of_order, "duplicates": f.duplicates,
+            })
+        })
+        .collect();
+    serde_json::json!({
+        "object": args.object,
+        "out": args.out,
+        "fingers": fingers,
+        "contacts": result.contacts,
+        "report": result.reconstruction.report,
+        "truth": result.truth,
+    })
+}
+
+/// The files a person opens first.
+pub fn what_to_open(out: &Path) -> String {
+    format!(
+        "open {}/report.html in a browser, {}/figures/contact-sheet.png, {}/surface.glb in a viewer, {}/surface.step in CAD\n",
+        out.display(),
+        out.display(),
+        out.display(),
+        out.display()
+    )
+}
