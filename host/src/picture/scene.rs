@@ -42,7 +42,7 @@ impl Paint {
                     map.colour(if width > 0.0 {
                         (value - low) / width
                     } else {
-                        value - value
+                        0.0 * value
                     })
                 })
                 .collect(),

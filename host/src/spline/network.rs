@@ -288,10 +288,9 @@ fn number_points(
                         (first_edge + INNER_EDGE * number + place - 1) as u32;
                 }
             }
-            let mut next = first_face + INNER_FACE * face;
-            for slot in numbers.iter_mut().filter(|n| **n == u32::MAX) {
+            let inner = numbers.iter_mut().filter(|n| **n == u32::MAX);
+            for (slot, next) in inner.zip(first_face + INNER_FACE * face..) {
                 *slot = next as u32;
-                next += 1;
             }
             numbers
         })
