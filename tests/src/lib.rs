@@ -3,3 +3,5 @@
 pub mod bench_board;
 pub mod emulator;
 pub mod fault_line;
+pub mod patches;
+pub mod python;
