@@ -1,21 +1,6 @@
 //! Reads point files: PLY, PCD and text (XYZ, CSV), told apart by content first and extension second.
 //!
-//! # What a point file has to hold
-//! Six values per point: position and outward normal. Normals need not be unit. Optional columns `sigma`
-//! (standard deviation of the position; not positive or not finite counts as unknown), `finger` and
-//! `time_us` are kept wherever columns have names; all other columns are ignored.
-//!
-//! | format | columns |
-//! |---|---|
-//! | PLY 1.0, ascii, binary little and big endian | properties `x y z nx ny nz` (also `normal_x` …) of element `vertex`, in any order and type, with any others, lists included |
-//! | PCD 0.7, ascii, binary, binary_compressed | fields `x y z normal_x normal_y normal_z` (also `nx` …) |
-//! | text | six columns, or the columns that a header line names; separated by blanks, tabs, commas or semicolons; comments begin with `#`, `//` or `%` |
-//!
-//! # What is promised
-//! Rows with a value that is NaN, infinite or beyond [`LARGEST`], or with a zero normal, are left out and
-//! listed in [`Cloud::rejected`]; a file of which more than half is such is refused. Anything that is no
-//! number is refused with file, line and value. On any bytes: no panic, and no more memory than in
-//! proportion to the file.
+//! What a file has to hold and what is promised stands in the module above, [`crate::cloud`].
 
 mod columns;
 mod lzf;
