@@ -109,15 +109,16 @@ pub fn refine(
     project: &dyn Fn(&Vec3) -> Option<Vec3>,
     mut progress: impl FnMut(usize, usize),
 ) -> Result<(Fitted, usize, RefineEnd), SurfacingError> {
+    let mut data = data.to_vec();
     let mut current = fitted;
     let mut best: Option<(f64, Fitted, usize)> = None;
     let mut levels = 0;
     let mut without_gain = 0;
     let end = loop {
-        let badness = badness(&current, data, options);
+        let badness = badness(&current, &data, options);
         let gained = best.as_ref().is_none_or(|(least, ..)| badness < *least);
         without_gain = if gained { 0 } else { without_gain + 1 };
-        let fits = face_fits(current.base.faces.len(), data, &current.feet);
+        let fits = face_fits(current.base.faces.len(), &data, &current.feet);
         let beyond: Vec<bool> = fits.iter().map(|f| f.max > options.tolerance).collect();
         let split: Vec<bool> = fits
             .iter()
@@ -145,7 +146,10 @@ pub fn refine(
         if let Some(end) = end {
             break end;
         }
-        current = fit_base(next, data, &options.fit)?;
+        for datum in data.iter_mut().filter(|d| d.kind == Kind::Field) {
+            datum.weight = (datum.weight * FIELD_FADES).max(LEAST_FIELD_WEIGHT);
+        }
+        current = fit_base(next, &data, &options.fit)?;
         levels += 1;
         progress(levels, faces);
     };
@@ -154,6 +158,11 @@ pub fn refine(
         None => Err(SurfacingError::NoLevel),
     }
 }
+
+/// From level to level the samples of the extracted surface count less, down to a hundredth: they hold what has
+/// no data, while the measured points decide where refinement goes on.
+const FIELD_FADES: f64 = 0.3;
+const LEAST_FIELD_WEIGHT: f64 = 0.01;
 
 /// Levels that may pass without coming closer before refinement gives up: one bad triangle can spoil a level
 /// and be mended in the next.

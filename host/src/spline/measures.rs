@@ -1,7 +1,8 @@
 //! What must be observable of a finished surface: continuity, regularity, topology. Measured, never assumed.
 
+use super::bernstein::{CONTROL_POINTS, FIRST};
 use super::edges::{EdgeTable, Sectors};
-use super::surface::{Surface, SurfaceError};
+use super::surface::{Surface, SurfaceError, combine};
 use crate::Vec3;
 
 /// Figures measured on a surface.
@@ -151,9 +152,7 @@ impl Surface {
 
     /// Smallest area element relative to its patch's mean, and how many patches fold.
     fn regularity(&self) -> (f64, usize) {
-        let patches: Vec<(f64, bool)> = (0..self.faces.len())
-            .map(|f| self.patch_regularity(f))
-            .collect();
+        let patches: Vec<(f64, bool)> = self.control_points.iter().map(patch_regularity).collect();
         let smallest = patches.iter().map(|p| p.0).fold(f64::INFINITY, f64::min);
         let folded = patches.iter().filter(|p| p.1).count();
         (if smallest.is_finite() { smallest } else { 0.0 }, folded)
@@ -162,30 +161,31 @@ impl Surface {
     /// Patches whose normal turns more than 90 degrees away from their mean normal.
     pub fn folded_patches(&self) -> Vec<usize> {
         (0..self.faces.len())
-            .filter(|face| self.patch_regularity(*face).1)
+            .filter(|face| patch_regularity(&self.control_points[*face]).1)
             .collect()
     }
+}
 
-    /// Smallest area element relative to the mean, and whether the patch folds.
-    fn patch_regularity(&self, face: usize) -> (f64, bool) {
-        const STEPS: usize = 6;
-        let mut elements = Vec::with_capacity(28);
-        for i in 0..=STEPS {
-            for j in 0..=STEPS - i {
-                let at = [i, j, STEPS - i - j].map(|m| m as f64 / STEPS as f64);
-                let [du, dv] = self.first_derivatives(face, at);
-                elements.push(du.cross(&dv));
-            }
+/// Smallest area element of a patch relative to its mean, and whether the patch folds: whether its normal
+/// turns more than 90 degrees away from its mean somewhere.
+pub fn patch_regularity(control_points: &[Vec3; CONTROL_POINTS]) -> (f64, bool) {
+    const STEPS: usize = 6;
+    let mut elements = Vec::with_capacity(28);
+    for i in 0..=STEPS {
+        for j in 0..=STEPS - i {
+            let at = [i, j, STEPS - i - j].map(|m| m as f64 / STEPS as f64);
+            let [du, dv] = [0, 1].map(|d| combine(control_points, &FIRST[d].weights(at)));
+            elements.push(du.cross(&dv));
         }
-        let sum: Vec3 = elements.iter().sum();
-        let mean = elements.iter().map(Vec3::norm).sum::<f64>() / elements.len() as f64;
-        let least = elements
-            .iter()
-            .map(Vec3::norm)
-            .fold(f64::INFINITY, f64::min);
-        let folds = elements.iter().any(|e| e.dot(&sum) <= 0.0);
-        (if mean > 0.0 { least / mean } else { 0.0 }, folds)
     }
+    let sum: Vec3 = elements.iter().sum();
+    let mean = elements.iter().map(Vec3::norm).sum::<f64>() / elements.len() as f64;
+    let least = elements
+        .iter()
+        .map(Vec3::norm)
+        .fold(f64::INFINITY, f64::min);
+    let folds = elements.iter().any(|e| e.dot(&sum) <= 0.0);
+    (if mean > 0.0 { least / mean } else { 0.0 }, folds)
 }
 
 /// Angle between two unit vectors, degrees; accurate for small angles.

@@ -9,6 +9,6 @@ mod sampling;
 pub mod simplex;
 mod surface;
 
-pub use measures::{Measures, PLACES, Topology, angle_degrees};
+pub use measures::{Measures, PLACES, Topology, angle_degrees, patch_regularity};
 pub use sampling::{MAX_SEGMENTS, SampledSurface};
 pub use surface::{Surface, SurfaceError, casteljau, combine};

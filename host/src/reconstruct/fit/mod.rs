@@ -16,6 +16,7 @@ pub mod system;
 use crate::Vec3;
 use crate::spline::bernstein::{CONTROL_POINTS, FIRST, values};
 use crate::spline::network::Network;
+use crate::spline::patch_regularity;
 use foot::{Finder, Foot};
 use nalgebra::{Matrix2, Matrix3};
 use rayon::prelude::*;
@@ -25,9 +26,15 @@ use system::{PatchSums, System, SystemError};
 /// creep along the surface (sphere, 80 patches); above 0.1 the fit converges as slowly as point distance.
 const TANGENTIAL: f64 = 0.02;
 /// Least weight of the patches' energy within the plane of the base triangle: there it shapes only the
-/// parameters, which the data leave open. Without it patches fold in their own plane on clean scans (kitten,
-/// bunny).
-const PARAMETER_SMOOTHING: f64 = 5e-4;
+/// parameters, which the data leave open. Below 1e-6 many patches of clean scans fold in their own plane
+/// (kitten, bunny); above 1e-4 coarse patches lose accuracy (torus, 96 patches: three times at 5e-4).
+const PARAMETER_SMOOTHING: f64 = 1e-5;
+/// Patches that fold all the same get up to this, in so many attempts.
+const MAX_STIFFNESS: f64 = 1e-2;
+const UNFOLD_ROUNDS: usize = 3;
+/// Distance, relative to the size of the data, that counts as much as two normals at 60 degrees when foot
+/// points are searched: more than any wall is thick, less than the object.
+const NORMAL_SCALE: f64 = 0.15;
 /// Tether of control points to the previous round, relative to the mean diagonal: bounds what no datum holds.
 const TETHER: f64 = 1e-8;
 /// Beyond this tether a system that cannot be factored is given up.
@@ -112,51 +119,177 @@ pub fn fit(
 ) -> Result<Fit, SystemError> {
     let system = System::new(network)?;
     let flat = start.is_none();
-    let mut points = start.unwrap_or_else(|| network.flat(vertices));
-    let (low, high) = data.iter().fold((points[0], points[0]), |(low, high), d| {
+    let points = start.unwrap_or_else(|| network.flat(vertices));
+    let Some(first) = points.first().copied() else {
+        return Err(SystemError::NotFinite);
+    };
+    let (low, high) = data.iter().fold((first, first), |(low, high), d| {
         (low.inf(&d.position), high.sup(&d.position))
     });
     let size = (high - low).norm().max(1e-300);
-    let search = |points: &[Vec3]| Finder::new(network, points, 0.15 * size).find_all(data);
-    let mut feet = search(&points);
+    let mut fitting = Fitting {
+        network,
+        vertices,
+        data,
+        options,
+        system,
+        size,
+        tether: TETHER,
+        stiffness: vec![options.smoothing.max(PARAMETER_SMOOTHING); network.faces.len()],
+        feet: Finder::new(network, &points, NORMAL_SCALE * size).find_all(data),
+        points,
+    };
     let mut history = Vec::new();
-    let mut tether = TETHER;
     let mut best = f64::INFINITY;
     for round in 0..options.rounds {
-        let weights = weigh(data, &feet, options, flat && round == 0);
-        let sums = accumulate(
-            network,
-            vertices,
-            data,
-            &feet,
-            &weights,
-            options,
-            flat && round == 0,
-        );
-        let next = loop {
-            match system.solve(&sums, options.smoothing, tether, &points, size) {
+        let (points, feet, error) = fitting.round(flat && round == 0)?;
+        if error <= best * 1.05 {
+            best = best.min(error);
+            history.push(measured_rms(data, &feet));
+            fitting.points = points;
+            fitting.feet = feet;
+        } else {
+            // A round that makes things worse is thrown away; a shorter step is tried in the next.
+            fitting.tether = (fitting.tether * 1e4).min(1.0);
+        }
+    }
+    fitting.unfold(&mut history)?;
+    Ok(Fit {
+        points: fitting.points,
+        feet: fitting.feet,
+        history,
+    })
+}
+
+/// A fit under way.
+struct Fitting<'a> {
+    network: &'a Network,
+    vertices: &'a [Vec3],
+    data: &'a [Datum],
+    options: &'a FitOptions,
+    system: System,
+    size: f64,
+    tether: f64,
+    /// Weight of each patch's energy within the plane of its base triangle.
+    stiffness: Vec<f64>,
+    points: Vec<Vec3>,
+    feet: Vec<Option<Foot>>,
+}
+
+impl Fitting<'_> {
+    /// Adds every datum and the patches' own energy to the sums of the patches.
+    fn accumulate(&self, weights: &[f64], first: bool) -> Vec<PatchSums> {
+        let mut of_face: Vec<Vec<u32>> = vec![Vec::new(); self.network.faces.len()];
+        for (number, foot) in self.feet.iter().enumerate() {
+            if let Some(foot) = foot
+                && weights[number] > 0.0
+            {
+                of_face[foot.face as usize].push(number as u32);
+            }
+        }
+        of_face
+            .par_iter()
+            .enumerate()
+            .map(|(face, members)| self.sums(face, members, weights, first))
+            .collect()
+    }
+
+    fn sums(&self, face: usize, members: &[u32], weights: &[f64], first: bool) -> PatchSums {
+        let corners = self.network.faces[face].map(|v| self.vertices[v as usize]);
+        let [a, b, c] = corners;
+        let (across, along) = (self.options.smoothing, self.stiffness[face]);
+        let mut metric = Matrix3::identity() * along;
+        if let Some(n) = (b - a).cross(&(c - a)).try_normalize(0.0) {
+            metric += n * n.transpose() * (across - along);
+        }
+        let mut sums = PatchSums::default();
+        sums.add_energy(&metric);
+        for number in members {
+            let number = *number as usize;
+            let datum = &self.data[number];
+            let Some(foot) = &self.feet[number] else {
+                continue;
+            };
+            let normal = match foot.normal() {
+                Some(normal) if !first && normal.dot(&datum.normal) > 0.5 => normal,
+                _ => datum.normal,
+            };
+            add_datum(
+                &mut sums,
+                datum,
+                foot,
+                normal,
+                weights[number],
+                self.options,
+                &corners,
+            );
+        }
+        sums
+    }
+
+    /// One round: weights, sums, solution, new foot points; with the mean squared distance.
+    fn round(&mut self, first: bool) -> Result<(Vec<Vec3>, Vec<Option<Foot>>, f64), SystemError> {
+        let weights = weigh(self.data, &self.feet, self.options, first);
+        let sums = self.accumulate(&weights, first);
+        let points = loop {
+            let smoothing = self.options.smoothing;
+            match self
+                .system
+                .solve(&sums, smoothing, self.tether, &self.points, self.size)
+            {
                 // Patches that nothing holds: hold them to where they are.
-                Err(SystemError::Factor(_)) if tether < MAX_TETHER => tether *= 100.0,
+                Err(SystemError::Factor(_)) if self.tether < MAX_TETHER => self.tether *= 100.0,
                 solved => break solved?,
             }
         };
-        let next_feet = search(&next);
-        let error = misfit(data, &next_feet, &weights);
-        if error <= best * 1.05 {
-            best = best.min(error);
-            points = next;
-            feet = next_feet;
-            history.push(measured_rms(data, &feet));
-        } else {
-            // A round that makes things worse is thrown away; a shorter step is tried in the next.
-            tether = (tether * 1e4).min(1.0);
-        }
+        let feet = Finder::new(self.network, &points, NORMAL_SCALE * self.size).find_all(self.data);
+        let error = misfit(self.data, &feet, &weights);
+        Ok((points, feet, error))
     }
-    Ok(Fit {
-        points,
-        feet,
-        history,
-    })
+
+    /// Stiffens the parameters of folded patches and of their neighbours until none is left or it no longer
+    /// helps.
+    fn unfold(&mut self, history: &mut Vec<f64>) -> Result<(), SystemError> {
+        let mut folded = self.folded();
+        for _ in 0..UNFOLD_ROUNDS {
+            if folded.is_empty() {
+                return Ok(());
+            }
+            let mut stiffer: Vec<usize> = folded.clone();
+            for face in &folded {
+                let across = (0..3).filter_map(|l| self.network.table.across(*face, l));
+                stiffer.extend(across.map(|side| side.face as usize));
+            }
+            stiffer.sort_unstable();
+            stiffer.dedup();
+            for face in stiffer {
+                self.stiffness[face] = (self.stiffness[face] * 20.0).min(MAX_STIFFNESS);
+            }
+            let before = (self.points.clone(), self.feet.clone());
+            for _ in 0..2 {
+                (self.points, self.feet, _) = self.round(false)?;
+            }
+            let now = self.folded();
+            if now.len() > folded.len() {
+                (self.points, self.feet) = before;
+                return Ok(());
+            }
+            folded = now;
+            history.push(measured_rms(self.data, &self.feet));
+        }
+        Ok(())
+    }
+
+    /// Patches whose normal turns over.
+    fn folded(&self) -> Vec<usize> {
+        self.network
+            .patches(&self.points)
+            .iter()
+            .enumerate()
+            .filter(|(_, patch)| patch_regularity(patch).1)
+            .map(|(face, _)| face)
+            .collect()
+    }
 }
 
 /// Robust weight of each datum at its foot point (0: left out).
@@ -181,62 +314,6 @@ fn weigh(data: &[Datum], feet: &[Option<Foot>], options: &FitOptions, first: boo
                     1.0
                 };
             datum.weight * robust
-        })
-        .collect()
-}
-
-/// Adds every datum to the sums of its patch.
-fn accumulate(
-    network: &Network,
-    vertices: &[Vec3],
-    data: &[Datum],
-    feet: &[Option<Foot>],
-    weights: &[f64],
-    options: &FitOptions,
-    first: bool,
-) -> Vec<PatchSums> {
-    let mut of_face: Vec<Vec<u32>> = vec![Vec::new(); network.faces.len()];
-    for (number, foot) in feet.iter().enumerate() {
-        if let Some(foot) = foot
-            && weights[number] > 0.0
-        {
-            of_face[foot.face as usize].push(number as u32);
-        }
-    }
-    of_face
-        .par_iter()
-        .enumerate()
-        .map(|(face, members)| {
-            let corners = network.faces[face].map(|v| vertices[v as usize]);
-            let mut sums = PatchSums::default();
-            let [a, b, c] = corners;
-            let across = (b - a).cross(&(c - a)).try_normalize(0.0);
-            let along = options.smoothing.max(PARAMETER_SMOOTHING);
-            let mut metric = Matrix3::identity() * along;
-            if let Some(n) = across {
-                metric += n * n.transpose() * (options.smoothing - along);
-            }
-            sums.add_energy(&metric);
-            for number in members {
-                let datum = &data[*number as usize];
-                let Some(foot) = &feet[*number as usize] else {
-                    continue;
-                };
-                let normal = match foot.normal() {
-                    Some(normal) if !first && normal.dot(&datum.normal) > 0.5 => normal,
-                    _ => datum.normal,
-                };
-                add_datum(
-                    &mut sums,
-                    datum,
-                    foot,
-                    normal,
-                    weights[*number as usize],
-                    options,
-                    &corners,
-                );
-            }
-            sums
         })
         .collect()
 }
