@@ -9,6 +9,7 @@ use super::jet::Jet;
 use super::solid::Solid;
 use crate::Vec3;
 use crate::mesh::TriangleMesh;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// The six tetrahedra of a cube around the diagonal from corner 0 to corner 7 (corner = x + 2 y + 4 z).
@@ -72,7 +73,40 @@ pub(super) fn polygonize(solid: Solid, cell_mm: f64) -> TriangleMesh {
             }
         }
     }
+    even_out(solid, &mut mesh, cell_mm);
     mesh
+}
+
+/// Rounds of evening out. Cut tetrahedra leave slivers whose normals are off by 50 degrees and more; after 8
+/// rounds face normals on the torus are within 5 degrees of the surface's, and more rounds change little.
+const ROUNDS: usize = 8;
+
+/// Moves every vertex to the middle of its neighbours and back onto the surface.
+fn even_out(solid: Solid, mesh: &mut TriangleMesh, cell_mm: f64) {
+    let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); mesh.positions.len()];
+    for face in &mesh.faces {
+        // In a closed mesh every edge is walked once in each direction.
+        for k in 0..3 {
+            neighbours[face[k] as usize].push(face[(k + 1) % 3]);
+        }
+    }
+    for _ in 0..ROUNDS {
+        mesh.positions = neighbours
+            .par_iter()
+            .zip(&mesh.positions)
+            .map(|(around, &own)| {
+                if around.is_empty() {
+                    return own;
+                }
+                let middle = around
+                    .iter()
+                    .map(|&v| mesh.positions[v as usize])
+                    .sum::<Vec3>()
+                    / around.len() as f64;
+                onto_surface(solid, (own + middle) * 0.5, cell_mm)
+            })
+            .collect();
+    }
 }
 
 /// An edge of a tetrahedron that the surface crosses, as the two corners of the cube it joins.
@@ -180,6 +214,19 @@ mod tests {
                 .map(|[a, b, c]| a.dot(&b.cross(&c)) / 6.0)
                 .sum();
             assert!(volume > 0.0, "{solid:?} is inside out");
+            // No slivers whose normals mean nothing: coarse cells leave at most the turn of the surface
+            // within a cell (the mug's lip of 4 mm has 60 degrees in 4 mm).
+            if !matches!(solid, Solid::Mug | Solid::Bowl) {
+                for f in 0..mesh.faces.len() as u32 {
+                    let [a, b, c] = mesh.corners(f).unwrap();
+                    let gradient = solid.field(Jet::coordinates(&((a + b + c) / 3.0))).gradient;
+                    let angle = mesh.face_normal(f).angle(&gradient).to_degrees();
+                    assert!(
+                        angle < 15.0,
+                        "{solid:?}: a face is turned by {angle} degrees"
+                    );
+                }
+            }
             // Nothing is cut off by the solid's box.
             let (low, high) = solid.bounds_mm();
             let (mesh_low, mesh_high) = mesh.bounding_box().unwrap();
