@@ -1,6 +1,6 @@
 //! Extracts the surface through an ASCII PLY or six-column XYZ file and writes it as PLY, to look at phase 1 alone.
 //!
-//! `cargo run --release --example extract -- POINTS MESH.ply [neighbours] [cubic|quintic|septic]`
+//! `cargo run --release --example extract -- POINTS MESH.ply [neighbours] [cubic|quintic|septic|planes]`
 
 use std::{error::Error, fmt::Write, fs, time::Instant};
 
@@ -41,6 +41,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     options.method = match arguments.next().as_deref() {
         Some("cubic") => Method::Hermite(Kernel::Cubic),
+        Some("septic") => Method::Hermite(Kernel::Septic),
         Some("quintic") => Method::Hermite(Kernel::Quintic),
         Some("planes") => Method::TangentPlanes,
         _ => options.method,
@@ -61,7 +62,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     fs::write(output, ply)?;
     println!(
-        "{seconds:.3} s, {} points, {} triangles, {} fits, spacing {:.4}, noise {:.5} {:.2} deg, {} outliers, {} cubes, {} bytes",
+        "{} holes, {} components dropped\n{seconds:.3} s, {} points, {} triangles, {} fits, spacing {:.4}, noise {:.5} {:.2} deg, {} outliers, {} cubes, {} bytes",
+        result.holes.len(),
+        result.dropped_components,
         cloud.points.len(),
         result.mesh.faces.len(),
         result.field.fits(),

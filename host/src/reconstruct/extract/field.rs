@@ -6,8 +6,135 @@
 
 use std::collections::HashMap;
 
-use super::local_fit::LocalField;
-use crate::Vec3;
+use super::{contacts::Frame, local_fit::LocalField, planes::TangentPlanes, smoothing::Levels};
+use crate::{Vec3, cloud::Neighbourhoods};
+
+/// The field whose zero set is the surface, in the unit of the input; negative inside.
+#[derive(Clone, Debug)]
+pub struct Field {
+    frame: Frame,
+    shape: Shape,
+    tree: Neighbourhoods,
+    levels: Levels,
+}
+
+impl Field {
+    pub(super) fn new(frame: Frame, shape: Shape, tree: Neighbourhoods, levels: Levels) -> Self {
+        Self {
+            frame,
+            shape,
+            tree,
+            levels,
+        }
+    }
+
+    /// Approximate signed distance at `x`; NaN where `x` is not finite.
+    pub fn value(&self, x: &Vec3) -> f64 {
+        self.frame.scale * self.shape.value(&self.frame.inward(x))
+    }
+
+    /// Gradient at `x`: about unit length near the surface, pointing outward.
+    pub fn gradient(&self, x: &Vec3) -> Vec3 {
+        self.shape.value_and_gradient(&self.frame.inward(x)).1
+    }
+
+    /// The point of the zero set that Newton steps along the gradient reach from `x`; `None` if they do not settle.
+    /// No step is longer than a hundredth of the bounding box's diagonal.
+    pub fn project(&self, x: &Vec3) -> Option<Vec3> {
+        self.shape
+            .project(&self.frame.inward(x), 0.01)
+            .map(|y| self.frame.outward(&y))
+    }
+
+    /// Standard deviation of the surface's position near `x`, unit of the input: the posterior ones of the local fits at
+    /// their centres, blended like their values, so that it is a fraction of the noise on the tracks and grows in
+    /// gaps; beyond the reach of the fits it grows with the square of the distance.
+    pub fn confidence(&self, x: &Vec3) -> f64 {
+        let x = self.frame.inward(x);
+        let sigma = self.shape.sigma(&x).unwrap_or_else(|| {
+            let nearest = self.tree.nearest_one(&x);
+            nearest.map_or(1.0, |(_, d2)| 2.0 * d2)
+        });
+        self.frame.scale * sigma.max(0.1 * self.levels.position_sigma)
+    }
+
+    /// Number of local fits, or of tangent planes.
+    pub fn fits(&self) -> usize {
+        self.shape.len()
+    }
+}
+
+/// One of the ways to make the field, in normalised coordinates.
+#[derive(Clone, Debug)]
+pub(super) enum Shape {
+    /// Blended local fits.
+    Blended(BlendedField),
+    /// Averaged tangent planes.
+    Planes(TangentPlanes),
+}
+
+impl Shape {
+    /// Value at `x`.
+    pub(super) fn value(&self, x: &Vec3) -> f64 {
+        match self {
+            Self::Blended(field) => field.value(x),
+            Self::Planes(planes) => planes.value_and_gradient(x).0,
+        }
+    }
+
+    /// Value and gradient at `x`.
+    pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
+        match self {
+            Self::Blended(field) => field.value_and_gradient(x),
+            Self::Planes(planes) => planes.value_and_gradient(x),
+        }
+    }
+
+    /// Newton steps along the gradient to the zero set; steps are cut at `longest`.
+    pub(super) fn project(&self, x: &Vec3, longest: f64) -> Option<Vec3> {
+        let mut at = *x;
+        for _ in 0..8 {
+            let (f, g) = self.value_and_gradient(&at);
+            let step = g * (f / g.norm_squared());
+            let length = step.norm();
+            if !length.is_finite() {
+                return None;
+            }
+            at -= if length > longest {
+                step * (longest / length)
+            } else {
+                step
+            };
+            if length < 1e-7 {
+                return Some(at);
+            }
+        }
+        let (f, g) = self.value_and_gradient(&at);
+        (f.abs() < 1e-5 * g.norm()).then_some(at)
+    }
+
+    fn sigma(&self, x: &Vec3) -> Option<f64> {
+        match self {
+            Self::Blended(field) => field.sigma(x),
+            Self::Planes(_) => None,
+        }
+    }
+
+    fn len(&self) -> usize {
+        match self {
+            Self::Blended(field) => field.len(),
+            Self::Planes(planes) => planes.len(),
+        }
+    }
+
+    /// Bytes held.
+    pub(super) fn bytes(&self) -> usize {
+        match self {
+            Self::Blended(field) => field.bytes(),
+            Self::Planes(planes) => planes.bytes(),
+        }
+    }
+}
 
 /// Weight of the coarse fit against the 1 at a ball's centre. Nine tenths of the way out a ball still weighs
 /// 5e-4; with 1e-6 the coarse fit shares only the outermost 2 % of the radius.
@@ -126,6 +253,17 @@ impl BlendedField {
         }
         let value = sum / weight;
         (value, (slope - value * weight_slope) / weight)
+    }
+
+    /// Standard deviations of the balls' fits at their centres, blended; `None` where none reaches.
+    fn sigma(&self, x: &Vec3) -> Option<f64> {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for (ball, t) in self.reaching(x) {
+            let w = (1.0 - t).powi(4) * (4.0 * t + 1.0);
+            sum += w * ball.radius * ball.fit.centre_variance.sqrt();
+            weight += w;
+        }
+        (weight > 0.0).then(|| sum / weight)
     }
 
     /// Number of balls.

@@ -28,8 +28,6 @@ pub(super) struct Marched {
     pub mesh: TriangleMesh,
     /// Cubes the zero set passes through.
     pub cubes: usize,
-    /// Lattice points where the field was evaluated.
-    pub nodes: usize,
     /// Whether the limit on cubes was hit and the mesh is cut off.
     pub truncated: bool,
 }
@@ -113,7 +111,6 @@ impl Lattice {
         Marched {
             mesh: self.polygonise(&crossed),
             cubes: crossed.len(),
-            nodes: values.len(),
             truncated,
         }
     }

@@ -45,14 +45,6 @@ pub(super) struct LocalProblem {
     data: Vec<f64>,
 }
 
-/// What leaving each datum out says about it.
-pub(super) struct LeaveOneOut {
-    /// Deviation of each contact from what the others say, in standard deviations: value, then gradient.
-    pub deviation: Vec<[f64; 4]>,
-    /// Posterior variance of the field's value at each contact, local units.
-    pub variance: Vec<f64>,
-}
-
 impl LocalProblem {
     /// Assembles and projects. The kernel is made simpler while the contacts are too few for its polynomials.
     pub(super) fn new(kernel: Kernel, contacts: Contacts) -> Self {
@@ -181,12 +173,56 @@ impl LocalProblem {
             nodes: self.contacts.nodes.clone(),
             coefficients,
             polynomial,
+            centre_variance: self.centre_variance(&factor, tau2),
         })
     }
 
-    /// Deviations from the rest and posterior variances, from the diagonal of the projected inverse
-    /// (Rasmussen and Williams 2006, section 5.4.2).
-    pub(super) fn leave_one_out(&self, tau2: f64) -> Option<LeaveOneOut> {
+    /// Posterior variance of the value at the origin: that of the best unbiased estimate u^T y, where u solves the
+    /// kriging system with the polynomials as constraints.
+    fn centre_variance(&self, factor: &Llt<f64>, tau2: f64) -> f64 {
+        let rank = self.polynomials.rank();
+        let n = self.data.len();
+        let mut cross: Vec<f64> = self
+            .contacts
+            .nodes
+            .iter()
+            .flat_map(|node| {
+                // d = 0 - node: covariance of the value there with value and gradient here.
+                let r = self.kernel.radial(node.norm_squared());
+                [r.value, r.a * node.x, r.a * node.y, r.a * node.z]
+            })
+            .zip(&self.weight)
+            .map(|(k, w)| tau2 * k * w)
+            .collect();
+        self.polynomials.apply_transposed(&mut cross);
+        let mut constant = vec![0.0; self.kernel.terms()];
+        constant[0] = 1.0;
+        let u = self.polynomials.transposed_solve(&constant);
+        let mut rest = Mat::from_fn(n - rank, 1, |i, _| {
+            let known: f64 = (0..rank)
+                .map(|j| self.projected[(j, rank + i)] * u[j])
+                .sum();
+            cross[rank + i] - tau2 * known
+        });
+        let top: Vec<f64> = (0..rank)
+            .map(|i| (0..rank).map(|j| self.projected[(i, j)] * u[j]).sum())
+            .collect();
+        faer::linalg::triangular_solve::solve_lower_triangular_in_place(
+            factor.L(),
+            rest.as_mut(),
+            Par::Seq,
+        );
+        // u^T (tau^2 A + I) u - 2 u^T b, split at the rank: C u_2 = b_2 - tau^2 A_21 u_1, and |L^-1 C u_2|^2 = u_2^T C u_2.
+        let lower: f64 = rest.col(0).iter().map(|x| x * x).sum();
+        let upper: f64 = (0..rank)
+            .map(|i| u[i] * (tau2 * top[i] + u[i] - 2.0 * cross[i]))
+            .sum();
+        (upper - lower).max(0.0)
+    }
+
+    /// Deviation of each datum from what all others say, in standard deviations (value, then gradient, per contact),
+    /// from the diagonal of the projected inverse (Rasmussen and Williams 2006, section 5.4.2).
+    pub(super) fn leave_one_out(&self, tau2: f64) -> Option<Vec<[f64; 4]>> {
         let factor = self.factor(tau2)?;
         let mut z = self.forward(&factor);
         faer::linalg::triangular_solve::solve_upper_triangular_in_place(
@@ -220,16 +256,7 @@ impl LocalProblem {
                 })
             })
             .collect();
-        let variance = (0..count)
-            .map(|i| {
-                let sigma = self.contacts.position_sigma[i];
-                sigma * sigma * (1.0 - precision[4 * i]).max(0.0)
-            })
-            .collect();
-        Some(LeaveOneOut {
-            deviation,
-            variance,
-        })
+        Some(deviation)
     }
 }
 
@@ -272,6 +299,8 @@ pub(super) struct LocalField {
     /// Coefficients of the kernel and of its three derivatives, per node.
     coefficients: Vec<[f64; 4]>,
     polynomial: Vec<f64>,
+    /// Posterior variance of the value at the origin.
+    pub centre_variance: f64,
 }
 
 impl LocalField {
@@ -310,5 +339,87 @@ impl LocalField {
     /// Bytes held.
     pub(super) fn bytes(&self) -> usize {
         self.nodes.len() * (size_of::<Vec3>() + size_of::<[f64; 4]>()) + self.polynomial.len() * 8
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    fn contacts(count: usize, sigma: f64) -> Contacts {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(9);
+        let mut uniform = move || 2.0 * random.random::<f64>() - 1.0;
+        let (mut nodes, mut normals) = (Vec::new(), Vec::new());
+        for _ in 0..count {
+            let (x, y) = (0.6 * uniform(), 0.6 * uniform());
+            let z = 0.3 * x * x - 0.2 * y * y * y + sigma * uniform();
+            nodes.push(Vec3::new(x, y, z));
+            normals.push(Vec3::new(-0.6 * x, 0.6 * y * y, 1.0).normalize());
+        }
+        Contacts {
+            position_sigma: vec![sigma.max(1e-6); count],
+            normal_sigma: vec![sigma.max(1e-5); count],
+            nodes,
+            normals,
+        }
+    }
+
+    #[test]
+    fn without_noise_values_and_gradients_are_met() {
+        for kernel in [Kernel::Cubic, Kernel::Quintic, Kernel::Septic] {
+            let data = contacts(25, 0.0);
+            let (nodes, normals) = (data.nodes.clone(), data.normals.clone());
+            let field = LocalProblem::new(kernel, data).solve(1.0).unwrap();
+            for (x, n) in nodes.iter().zip(&normals) {
+                let (f, g) = field.value_and_gradient(x);
+                assert!(f.abs() < 1e-6 && (g - n).norm() < 1e-4, "{kernel:?} {f}");
+                assert!((field.value(x) - f).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn gradient_is_the_derivative_of_the_value() {
+        let problem = LocalProblem::new(Kernel::Septic, contacts(25, 0.01));
+        let field = problem.solve(0.1).unwrap();
+        let x = Vec3::new(0.2, -0.1, 0.15);
+        let (_, g) = field.value_and_gradient(&x);
+        for i in 0..3 {
+            let h = Vec3::ith(i, 1e-5);
+            let slope = (field.value(&(x + h)) - field.value(&(x - h))) / 2e-5;
+            assert!((slope - g[i]).abs() < 1e-7);
+        }
+    }
+
+    #[test]
+    fn the_variance_at_the_centre_tells_how_far_a_contact_put_there_draws_the_field() {
+        let sigma: f64 = 0.01;
+        for kernel in [Kernel::Cubic, Kernel::Septic] {
+            let base = LocalProblem::new(kernel, contacts(30, 0.02))
+                .solve(0.5)
+                .unwrap();
+            let before = base.value(&Vec3::zeros());
+            let mut data = contacts(30, 0.02);
+            data.nodes.push(Vec3::zeros());
+            data.normals.push(Vec3::z());
+            data.position_sigma.push(sigma);
+            data.normal_sigma.push(1e6);
+            let after = LocalProblem::new(kernel, data).solve(0.5).unwrap();
+            let share = sigma * sigma / (base.centre_variance + sigma * sigma);
+            let off = after.value(&Vec3::zeros()) - before * share;
+            assert!(off.abs() < 2e-3 * before.abs(), "{kernel:?} {share}");
+            assert!(share < 0.95, "the test says nothing");
+        }
+    }
+
+    #[test]
+    fn leaving_out_shows_the_one_false_contact() {
+        let mut data = contacts(30, 0.005);
+        data.nodes[7].z += 0.08;
+        let problem = LocalProblem::new(Kernel::Cubic, data);
+        let out = problem.leave_one_out(0.1).unwrap();
+        let worst = (0..30).max_by(|&a, &b| out[a][0].abs().total_cmp(&out[b][0].abs()));
+        assert_eq!(worst, Some(7));
     }
 }

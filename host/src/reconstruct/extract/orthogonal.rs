@@ -193,6 +193,16 @@ impl Orthogonal {
         full
     }
 
+    /// The `u` with `R^T u = row` (a row in the input's column order), dependent columns left out.
+    pub(super) fn transposed_solve(&self, row: &[f64]) -> Vec<f64> {
+        let mut u = vec![0.0; self.rank()];
+        for i in 0..self.rank() {
+            let known: f64 = (0..i).map(|j| self.r[(j, i)] * u[j]).sum();
+            u[i] = (row[self.order[i]] - known) / self.r[(i, i)];
+        }
+        u
+    }
+
     /// The coefficients c that minimise |R c - `top`|^2 + `ridge`^2 |c|^2, in the input's column order.
     pub(super) fn coefficients(&self, top: &[f64], ridge: f64) -> Vec<f64> {
         let (rank, columns) = (self.rank(), self.r.ncols());
@@ -306,6 +316,16 @@ mod tests {
         q.apply_transposed(&mut y);
         for (c, w) in q.coefficients(&y, 1e-9).iter().zip(wanted) {
             assert!((c - w).abs() < 1e-9);
+        }
+        let row: Vec<f64> = (0..4)
+            .map(|t| {
+                (0..4)
+                    .map(|i| q.r[(i, q.order.iter().position(|&o| o == t).unwrap())] * wanted[i])
+                    .sum()
+            })
+            .collect();
+        for (u, w) in q.transposed_solve(&row).iter().zip(wanted) {
+            assert!((u - w).abs() < 1e-12);
         }
         let q = Orthogonal::new(sample(10, 4, true));
         let mut y = vec![1.0; 10];
