@@ -1,6 +1,6 @@
 //! `palpus demo`: no hardware; a simulated hand, real terminals, a surface, and what to open.
 
-use super::reconstruct::stages;
+use super::reconstruct::{segments, stages};
 use super::{Common, Exit, Failure, simulate};
 use anyhow::Context;
 use palpus_host::cloud::write_ply;
@@ -160,7 +160,7 @@ fn write(args: &Args, result: &Demo) -> anyhow::Result<()> {
         error: report.error.clone(),
     };
     file.write(&at("surface.json"))?;
-    let sampled = surface.sample_per_patch(12)?;
+    let sampled = surface.sample_per_patch(segments(surface.faces.len()))?;
     for name in ["surface.ply", "surface.stl", "surface.glb"] {
         write_mesh(&at(name), &sampled)?;
     }

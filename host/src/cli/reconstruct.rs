@@ -46,9 +46,16 @@ pub struct Args {
     /// Edge length of the meshes' triangles, in the unit of the input.
     #[arg(long, value_name = "H", conflicts_with = "mesh_per_patch")]
     mesh_step: Option<f64>,
-    /// Cut each patch edge in so many segments.
-    #[arg(long, value_name = "K", default_value_t = 12)]
-    mesh_per_patch: usize,
+    /// Cut each patch edge in so many segments. Default: as many as give about 100 000 triangles, 6 to 40.
+    #[arg(long, value_name = "K")]
+    mesh_per_patch: Option<usize>,
+    /// Largest gap between contacts that is closed, in the unit of the input; wider ones stay open with a clean
+    /// border. Default: from the data, with the reason in the report.
+    #[arg(long, value_name = "GAP")]
+    max_gap: Option<f64>,
+    /// Most memory phase 1 may take, in MB.
+    #[arg(long, value_name = "MB", default_value_t = 2048)]
+    max_memory: usize,
     /// CAD file to write (.step): the patches themselves, without approximation.
     #[arg(long, value_name = "FILE")]
     step: Option<PathBuf>,
@@ -131,6 +138,8 @@ pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
                 FieldMethod::Hermite => extract::Options::default().method,
                 FieldMethod::TangentPlanes => extract::Method::TangentPlanes,
             },
+            max_gap: args.max_gap,
+            max_memory: args.max_memory.saturating_mul(1 << 20),
             ..extract::Options::default()
         },
         ..Options::default()
@@ -242,11 +251,19 @@ pub fn stages<'a>(cloud: &'a Cloud, result: &'a Reconstruction) -> Stages<'a> {
 fn sample(args: &Args, result: &Reconstruction) -> anyhow::Result<SampledSurface> {
     match (&result.surface, args.mesh_step) {
         (Some(surface), Some(step)) => Ok(surface.sample(step)?),
-        (Some(surface), None) => Ok(surface.sample_per_patch(args.mesh_per_patch)?),
+        (Some(surface), None) => Ok(surface.sample_per_patch(
+            args.mesh_per_patch
+                .unwrap_or_else(|| segments(surface.faces.len())),
+        )?),
         (None, _) => Ok(sampled_from_mesh(
             result.simplified.as_ref().unwrap_or(&result.extracted),
         )),
     }
+}
+
+/// Segments per patch edge for about 100 000 triangles.
+pub fn segments(patches: usize) -> usize {
+    ((1e5 / patches.max(1) as f64).sqrt() as usize).clamp(6, 40)
 }
 
 fn provenance(args: &Args) -> anyhow::Result<Provenance> {

@@ -180,6 +180,7 @@ fn run(
     let started = Instant::now();
     let mut extract_options = options.extract.clone();
     extract_options.spacing = extract_options.spacing.map(|s| s / frame.scale);
+    extract_options.max_gap = extract_options.max_gap.map(|g| g / frame.scale);
     let extracted = extract::extract(&inner, &extract_options)?;
     out.extracted = frame.mesh(&extracted.mesh);
     let noise = extracted.noise;
@@ -192,6 +193,7 @@ fn run(
         triangles: Some(extracted.mesh.faces.len()),
         ..PhaseFigures::default()
     });
+    out.report.notes = notes(&extracted, &frame);
     if options.stop_after == Stage::Extract {
         out.report.seconds = begin.elapsed().as_secs_f64();
         return Ok(out);
@@ -268,7 +270,7 @@ fn run(
         end = Some(why);
         last = refined;
     }
-    finish(&mut out, &frame, last, &data, &numbers)?;
+    finish(&mut out, &frame, &extracted, last, &data, &numbers)?;
     judge(
         &mut out.report,
         tolerance * frame.scale,
@@ -278,6 +280,37 @@ fn run(
     );
     out.report.seconds = begin.elapsed().as_secs_f64();
     Ok(out)
+}
+
+/// What phase 1 decided.
+fn notes(extracted: &Extracted, frame: &Frame) -> Vec<String> {
+    let mut notes: Vec<String> = extracted
+        .holes
+        .iter()
+        .map(|hole| {
+            let place = frame.leave(hole.place);
+            format!(
+                "gap near ({:.4}, {:.4}, {:.4}), up to {:.3} from any contact, {:.1} % of the touched area: {}",
+                place.x,
+                place.y,
+                place.z,
+                hole.depth * frame.scale,
+                100.0 * hole.area_share,
+                if hole.closed {
+                    "closed by the field"
+                } else {
+                    "left open, for it is too wide to be known; touch there or give --max-gap"
+                }
+            )
+        })
+        .collect();
+    if extracted.dropped_components > 0 {
+        notes.push(format!(
+            "{} separate pieces of the field's surface were left out: hardly any contact lies on them",
+            extracted.dropped_components
+        ));
+    }
+    notes
 }
 
 fn check(options: &Options) -> Result<(), ReconstructError> {
@@ -475,10 +508,18 @@ fn figures(distances: impl Iterator<Item = f64>) -> ErrorFigures {
 fn finish(
     out: &mut Reconstruction,
     frame: &Frame,
+    extracted: &Extracted,
     last: Fitted,
     data: &[Datum],
     numbers: &[usize],
 ) -> Result<(), ReconstructError> {
+    let mut last = last;
+    last.surface.sigma = last
+        .surface
+        .vertices
+        .iter()
+        .map(|v| extracted.field.confidence(v))
+        .collect();
     let measures = last.surface.measure()?;
     out.report.surface = Some(SurfaceFigures::of(&last.surface, &measures));
     out.report.error = Some(figures(

@@ -48,6 +48,11 @@ pub(super) struct Closing {
     pub reach: f64,
 }
 
+/// Half way where a vertex without any contact on its sheet (infinitely far) leaves no share to compute.
+fn share(t: f64) -> f64 {
+    if t.is_finite() { t } else { 0.5 }
+}
+
 /// Distance of each vertex from the nearest contact that could lie on its sheet: whose normal is within
 /// a right angle of the vertex's.
 pub(super) fn support(mesh: &TriangleMesh, data: &Normalised, tree: &Neighbourhoods) -> Vec<f64> {
@@ -154,7 +159,7 @@ pub(super) fn close_or_open(
             let (a, b) = (f[i], f[(i + 1) % 3]);
             if opened(a) && !inside(b) || opened(b) && !inside(a) {
                 let (sa, sb) = (support[a as usize], support[b as usize]);
-                let t = ((radius - sa) / (sb - sa)).clamp(0.0, 1.0);
+                let t = share((radius - sa) / (sb - sa)).clamp(0.0, 1.0);
                 let (pa, pb) = (mesh.positions[a as usize], mesh.positions[b as usize]);
                 rim.push(pa + t * (pb - pa));
             }
@@ -201,7 +206,7 @@ pub(super) fn clip(mesh: &TriangleMesh, level: &[f64]) -> TriangleMesh {
                 polygon.push(*cut.entry((a.min(b), a.max(b))).or_insert_with(|| {
                     let (low, high) = (a.min(b) as usize, a.max(b) as usize);
                     // Kept off the corners, so that no face degenerates.
-                    let t = (level[low] / (level[low] - level[high])).clamp(0.05, 0.95);
+                    let t = share(level[low] / (level[low] - level[high])).clamp(0.05, 0.95);
                     let (pl, ph) = (mesh.positions[low], mesh.positions[high]);
                     result.positions.push(pl + t * (ph - pl));
                     result.positions.len() as u32 - 1
