@@ -142,12 +142,11 @@ pub fn fit(
     let mut history = Vec::new();
     let mut best = f64::INFINITY;
     for round in 0..options.rounds {
-        let (points, feet, error) = fitting.round(flat && round == 0)?;
-        if error <= best * 1.05 {
-            best = best.min(error);
-            history.push(measured_rms(data, &feet));
-            fitting.points = points;
-            fitting.feet = feet;
+        let next = fitting.round(flat && round == 0)?;
+        if next.error <= best * 1.05 {
+            best = best.min(next.error);
+            history.push(measured_rms(data, &next.feet));
+            fitting.take(next);
         } else {
             // A round that makes things worse is thrown away; a shorter step is tried in the next.
             fitting.tether = (fitting.tether * 1e4).min(1.0);
@@ -159,6 +158,14 @@ pub fn fit(
         feet: fitting.feet,
         history,
     })
+}
+
+/// What one round gave.
+struct Round {
+    points: Vec<Vec3>,
+    feet: Vec<Option<Foot>>,
+    /// Weighted mean squared distance.
+    error: f64,
 }
 
 /// A fit under way.
@@ -227,8 +234,13 @@ impl Fitting<'_> {
         sums
     }
 
-    /// One round: weights, sums, solution, new foot points; with the mean squared distance.
-    fn round(&mut self, first: bool) -> Result<(Vec<Vec3>, Vec<Option<Foot>>, f64), SystemError> {
+    fn take(&mut self, round: Round) {
+        self.points = round.points;
+        self.feet = round.feet;
+    }
+
+    /// One round: weights, sums, solution, new foot points.
+    fn round(&mut self, first: bool) -> Result<Round, SystemError> {
         let weights = weigh(self.data, &self.feet, self.options, first);
         let sums = self.accumulate(&weights, first);
         let points = loop {
@@ -244,7 +256,11 @@ impl Fitting<'_> {
         };
         let feet = Finder::new(self.network, &points, NORMAL_SCALE * self.size).find_all(self.data);
         let error = misfit(self.data, &feet, &weights);
-        Ok((points, feet, error))
+        Ok(Round {
+            points,
+            feet,
+            error,
+        })
     }
 
     /// Stiffens the parameters of folded patches and of their neighbours until none is left or it no longer
@@ -267,7 +283,8 @@ impl Fitting<'_> {
             }
             let before = (self.points.clone(), self.feet.clone());
             for _ in 0..2 {
-                (self.points, self.feet, _) = self.round(false)?;
+                let next = self.round(false)?;
+                self.take(next);
             }
             let now = self.folded();
             if now.len() > folded.len() {
