@@ -3,7 +3,7 @@
 //! Each round finds the foot point of every datum, forms one linear system and solves it; four rounds usually
 //! do. A datum contributes (paper, eqs. 5 to 8, with the tangent distance in place of the point distance):
 //!
-//! - the squared distance along the surface normal at its foot point, plus [`TANGENTIAL`] of the squared
+//! - the squared distance along the surface normal at its foot point, plus a fiftieth of the squared
 //!   distance within the tangent plane (the point may slide: that is what makes four rounds enough);
 //! - lambda times the squared disagreement of the tangents with its measured normal ([`NormalTerm`]).
 //!

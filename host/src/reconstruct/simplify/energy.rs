@@ -4,7 +4,7 @@
 //! vertex, and springs along the edges ("Mesh Optimization" 1993, section 3). For fixed connectivity
 //! the first and the last are minimised in turns: foot points for the positions, then a linear
 //! least-squares problem for the positions with the foot points' barycentric coordinates held
-//! ([`Assignment::improve`]).
+//! (`Assignment::improve`).
 //!
 //! Points are the measured ones and, where those are fewer than about 12 to a face, samples of the
 //! extracted surface as well: a face without any point would cost nothing but its springs, and the optimization
