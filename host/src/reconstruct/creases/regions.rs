@@ -1,0 +1,526 @@
+//! Which measured points belong to one smooth sheet, and between which sheets the surface breaks.
+//!
+//! Regions grow from the flattest places: a point joins when the sheet through the region's points
+//! next to it predicts its position and normal. A smooth surface carries a region over itself as far
+//! as the points are dense enough to follow; at a crease the prediction fails on both sides. It also fails where
+//! a surface bends faster than the points show, so every boundary between two regions is tried:
+//! it is a crease only where both sheets, carried on from their own side, meet between the points at an
+//! angle, and no point near by contradicts them. Regions on both sides of any other boundary are joined.
+
+use super::sheet::{Scatter, Sheet, meet};
+use crate::Vec3;
+use crate::cloud::{Cloud, Neighbourhoods, OrientedPoint};
+use crate::mesh::NONE;
+use crate::mesh::topology::Union;
+use std::collections::{BTreeMap, VecDeque};
+
+/// Neighbours of a point, for growing and for boundaries.
+const NEIGHBOURS: usize = 14;
+/// Points a sheet is made from, at most.
+pub(super) const SHEET_POINTS: usize = 30;
+/// A sheet whose mean squared residual is larger than this (1: that of the scatter) does not explain its points.
+/// At 1.5 a quadric reaches so far around a cylinder that it misses the rim by half the scatter.
+const MISFIT_MAX: f64 = 1.2;
+/// A region with fewer points is no sheet of its own.
+const REGION_MIN: usize = 8;
+/// Standard deviations within which a point agrees with a sheet.
+const AGREE: f64 = 3.5;
+/// What a sheet may further be off in the normal when carried on by one point, radians (8 degrees): the
+/// turn of curvature that the sheet does not know yet.
+const AGREE_NORMAL: f64 = 0.14;
+/// The same for the position, in shares of the distance to the nearest point of the sheet.
+const AGREE_SLOPE: f64 = 0.12;
+/// A region with fewer points may be a cut-off piece of another.
+const FRAGMENT_MAX: usize = 60;
+/// How far, in spacings, a sheet is carried on to such a piece.
+const SIGHT: f64 = 8.0;
+/// Places at which two sheets must be seen to meet at an angle.
+const PLACES_MIN: usize = 5;
+/// Share of the places along a boundary that must be sharp.
+const SHARE_MIN: f64 = 0.7;
+
+/// Points in smooth regions.
+pub(super) struct Regions<'a> {
+    pub(super) points: &'a [OrientedPoint],
+    pub(super) tree: Neighbourhoods,
+    /// Per point; [`NONE`] where it fits nowhere.
+    pub(super) label: Vec<u32>,
+    /// Pairs of regions (lower first) between which the surface breaks.
+    pub(super) sharp: Vec<[u32; 2]>,
+    pub(super) scatter: Scatter,
+    /// Typical distance of neighbouring points.
+    pub(super) spacing: f64,
+    /// The points of each region, once they are known.
+    index: BTreeMap<u32, Members>,
+}
+
+/// The points of one region.
+struct Members {
+    tree: Neighbourhoods,
+    points: Vec<u32>,
+}
+
+impl<'a> Regions<'a> {
+    /// Finds regions and their sharp boundaries. `turn_min`: the least angle of a crease, radians.
+    pub(super) fn new(cloud: &'a Cloud, turn_min: f64) -> Self {
+        let points = cloud.points.as_slice();
+        let tree = Neighbourhoods::new(points.iter().map(|p| p.position).collect());
+        let neighbours: Vec<Vec<u32>> = (0..points.len())
+            .map(|i| {
+                tree.nearest(&points[i].position, NEIGHBOURS + 1)
+                    .into_iter()
+                    .map(|(j, _)| j as u32)
+                    .filter(|j| {
+                        *j as usize != i && points[*j as usize].normal.dot(&points[i].normal) > -0.7
+                    })
+                    .collect()
+            })
+            .collect();
+        let mut gaps: Vec<f64> = (0..points.len())
+            .filter_map(|i| {
+                let far = *neighbours[i].get(6)?;
+                Some(
+                    (points[far as usize].position - points[i].position).norm() / 6f64.sqrt() * 1.6,
+                )
+            })
+            .collect();
+        gaps.sort_by(f64::total_cmp);
+        let spacing = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
+        let mut out = Self {
+            points,
+            tree,
+            label: vec![NONE; points.len()],
+            sharp: Vec::new(),
+            scatter: Scatter {
+                position: 0.1 * spacing,
+                normal: 0.1,
+            },
+            spacing,
+            index: BTreeMap::new(),
+        };
+        out.scatter = out.measure_scatter(&neighbours);
+        out.grow(&neighbours);
+        out.settle(&neighbours, turn_min);
+        out.sort_members();
+        out
+    }
+
+    /// Scatter of positions and normals about local sheets, from medians, so that the few points at creases do not count.
+    fn measure_scatter(&self, neighbours: &[Vec<u32>]) -> Scatter {
+        let (mut off, mut turn) = (Vec::new(), Vec::new());
+        for (i, p) in self.points.iter().enumerate() {
+            let near: Vec<OrientedPoint> = neighbours[i]
+                .iter()
+                .map(|j| self.points[*j as usize])
+                .filter(|q| q.normal.dot(&p.normal) > 0.8)
+                .collect();
+            if near.len() < 7 {
+                continue;
+            }
+            let wide = Scatter {
+                position: 0.1 * self.spacing,
+                normal: 0.1,
+            };
+            if let Some(sheet) = Sheet::through(&near, &p.position, 2.0 * self.spacing, &wide) {
+                off.push(sheet.distance(&p.position).abs());
+                turn.push((sheet.normal(&p.position) - p.normal).norm());
+            }
+        }
+        let median = |list: &mut Vec<f64>| {
+            list.sort_by(f64::total_cmp);
+            list.get(list.len() / 2).copied()
+        };
+        // The median of |z| is 0.674 sigma; that of the length of two components 1.177 sigma.
+        Scatter {
+            position: median(&mut off)
+                .map_or(0.1 * self.spacing, |m| (m / 0.674).max(1e-3 * self.spacing)),
+            normal: median(&mut turn).map_or(0.1, |m| (m / 1.177).max(1e-3)),
+        }
+    }
+
+    /// The points of `region` nearest to `at`, nearest first.
+    fn members_near(&self, region: u32, at: &Vec3, most: usize) -> Vec<OrientedPoint> {
+        if let Some(index) = self.index.get(&region) {
+            let near = index.tree.nearest(at, most).into_iter();
+            return near
+                .map(|(k, _)| self.points[index.points[k] as usize])
+                .collect();
+        }
+        self.tree
+            .nearest(at, 4 * most)
+            .into_iter()
+            .filter(|(j, _)| self.label[*j] == region)
+            .take(most)
+            .map(|(j, _)| self.points[j])
+            .collect()
+    }
+
+    fn through(&self, near: &[OrientedPoint], at: &Vec3) -> Option<Sheet> {
+        let reach = (near.last()?.position - at).norm().max(self.spacing);
+        Sheet::through(near, at, 0.7 * reach, &self.scatter)
+    }
+
+    /// The sheet of `region` near `at`, through its points there.
+    pub(super) fn sheet(&self, region: u32, at: &Vec3, most: usize) -> Option<Sheet> {
+        self.through(&self.members_near(region, at, most), at)
+    }
+
+    /// The sheet of `region` near `at` through as many points as one plane or quadric explains: the more,
+    /// the less their noise moves it where it is carried on past them.
+    pub(super) fn wide_sheet(&self, region: u32, at: &Vec3) -> Option<Sheet> {
+        let near = self.members_near(region, at, 8 * SHEET_POINTS);
+        [8, 4, 2]
+            .iter()
+            .filter_map(|times| self.through(&near[..near.len().min(times * SHEET_POINTS)], at))
+            .find(|sheet| sheet.misfit < MISFIT_MAX)
+            .or_else(|| self.through(&near[..near.len().min(SHEET_POINTS)], at))
+    }
+
+    /// Sorts the points of every region for quick look-ups, once the regions no longer change.
+    fn sort_members(&mut self) {
+        let mut members: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+        for (i, l) in self.label.iter().enumerate() {
+            if *l != NONE {
+                members.entry(*l).or_default().push(i as u32);
+            }
+        }
+        for (l, points) in members {
+            let tree = Neighbourhoods::new(
+                points
+                    .iter()
+                    .map(|i| self.points[*i as usize].position)
+                    .collect(),
+            );
+            self.index.insert(l, Members { tree, points });
+        }
+    }
+
+    /// Whether `sheet` predicts `point`, whose distance to the nearest point of the sheet is `gap`.
+    fn agrees(&self, sheet: &Sheet, point: &OrientedPoint, gap: f64) -> bool {
+        let off = sheet.distance(&point.position).abs();
+        let turn = (sheet.normal(&point.position) - point.normal).norm();
+        off < AGREE * self.scatter.position + AGREE_SLOPE * gap
+            && turn < AGREE * self.scatter.normal + AGREE_NORMAL
+    }
+
+    fn grow(&mut self, neighbours: &[Vec<u32>]) {
+        let bend = |i: usize| -> f64 {
+            let list = &neighbours[i][..neighbours[i].len().min(8)];
+            let sum: f64 = list
+                .iter()
+                .map(|j| 1.0 - self.points[*j as usize].normal.dot(&self.points[i].normal))
+                .sum();
+            sum / list.len().max(1) as f64
+        };
+        let mut seeds: Vec<(f64, u32)> = (0..self.points.len())
+            .map(|i| (bend(i), i as u32))
+            .collect();
+        seeds.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut next = 0;
+        for (_, seed) in seeds {
+            if self.label[seed as usize] != NONE {
+                continue;
+            }
+            self.grow_from(seed, next, neighbours);
+            next += 1;
+        }
+    }
+
+    fn grow_from(&mut self, seed: u32, region: u32, neighbours: &[Vec<u32>]) {
+        let start = self.points[seed as usize];
+        let cone = (AGREE * self.scatter.normal + 2.0 * AGREE_NORMAL)
+            .min(1.0)
+            .cos();
+        let mut members = vec![seed];
+        for &j in &neighbours[seed as usize] {
+            if members.len() < 7
+                && self.label[j as usize] == NONE
+                && self.points[j as usize].normal.dot(&start.normal) > cone
+            {
+                members.push(j);
+            }
+        }
+        let mut queue: VecDeque<u32> = VecDeque::new();
+        let mut tries: Vec<u8> = vec![0; self.points.len()];
+        for &m in &members {
+            self.label[m as usize] = region;
+            queue.extend(&neighbours[m as usize]);
+        }
+        while let Some(j) = queue.pop_front() {
+            if self.label[j as usize] != NONE || tries[j as usize] >= 6 {
+                continue;
+            }
+            tries[j as usize] += 1;
+            let p = self.points[j as usize];
+            // The nearest point of the region on the same side of the wall.
+            let gap = neighbours[j as usize]
+                .iter()
+                .filter(|i| self.label[**i as usize] == region)
+                .map(|i| (self.points[*i as usize].position - p.position).norm())
+                .fold(f64::INFINITY, f64::min);
+            if gap.is_finite()
+                && let Some(sheet) = self.sheet(region, &p.position, 16)
+                && self.agrees(&sheet, &p, gap)
+            {
+                self.label[j as usize] = region;
+                queue.extend(
+                    neighbours[j as usize]
+                        .iter()
+                        .filter(|i| self.label[**i as usize] == NONE),
+                );
+            }
+        }
+    }
+
+    /// Joins regions across boundaries that are not sharp and keeps the sharp ones.
+    fn settle(&mut self, neighbours: &[Vec<u32>], turn_min: f64) {
+        self.drop_small();
+        self.adopt(neighbours);
+        self.join_fragments();
+        for _ in 0..4 {
+            let mut pairs = self.boundaries(neighbours, turn_min);
+            let is_sharp = |b: &Boundary| {
+                b.sharp >= PLACES_MIN && b.sharp as f64 >= SHARE_MIN * b.places as f64
+            };
+            let count = self
+                .label
+                .iter()
+                .filter(|l| **l != NONE)
+                .max()
+                .map_or(0, |m| *m as usize + 1);
+            let mut set = Union::new(count);
+            let sharp: Vec<[u32; 2]> = pairs
+                .iter()
+                .filter(|b| is_sharp(b))
+                .map(|b| b.regions)
+                .collect();
+            // The least sharp boundaries vanish first; none may vanish that would join across a sharp one.
+            pairs.retain(|b| !is_sharp(b));
+            pairs.sort_by(|a, b| a.turn.total_cmp(&b.turn).then(a.regions.cmp(&b.regions)));
+            let mut joined = false;
+            for b in &pairs {
+                let [a, c] = b.regions.map(|r| set.root(r as usize));
+                let broken = sharp.iter().any(|s| {
+                    let [s, t] = s.map(|r| set.root(r as usize));
+                    (s, t) == (a, c) || (t, s) == (a, c)
+                });
+                if a != c && !broken {
+                    set.join(a, c);
+                    joined = true;
+                }
+            }
+            for l in &mut self.label {
+                if *l != NONE {
+                    *l = set.root(*l as usize) as u32;
+                }
+            }
+            self.sharp = sharp
+                .iter()
+                .map(|s| {
+                    let [s, t] = s.map(|r| set.root(r as usize) as u32);
+                    [s.min(t), s.max(t)]
+                })
+                .collect();
+            self.sharp.sort_unstable();
+            self.sharp.dedup();
+            if !joined {
+                break;
+            }
+        }
+    }
+
+    fn drop_small(&mut self) {
+        let mut count = BTreeMap::new();
+        for l in &self.label {
+            *count.entry(*l).or_insert(0usize) += 1;
+        }
+        for l in &mut self.label {
+            if count.get(l).copied().unwrap_or(0) < REGION_MIN {
+                *l = NONE;
+            }
+        }
+    }
+
+    /// A small region that a gap in the data cuts off from its sheet joins the region whose sheet, carried
+    /// on across the gap, predicts most of its points.
+    fn join_fragments(&mut self) {
+        let mut members: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+        for (i, l) in self.label.iter().enumerate() {
+            if *l != NONE {
+                members.entry(*l).or_default().push(i);
+            }
+        }
+        let mut small: Vec<(usize, u32)> = members
+            .iter()
+            .filter(|(_, m)| m.len() < FRAGMENT_MAX)
+            .map(|(l, m)| (m.len(), *l))
+            .collect();
+        small.sort_unstable();
+        for (_, fragment) in small {
+            let own: Vec<usize> = (0..self.label.len())
+                .filter(|i| self.label[*i] == fragment)
+                .collect();
+            let mut votes: BTreeMap<u32, usize> = BTreeMap::new();
+            for &i in &own {
+                let p = self.points[i];
+                // The nearest point of every other region in sight.
+                let mut gaps: BTreeMap<u32, f64> = BTreeMap::new();
+                for (j, squared) in self.tree.within(&p.position, SIGHT * self.spacing) {
+                    let l = self.label[j];
+                    if l != NONE && l != fragment && self.points[j].normal.dot(&p.normal) > 0.0 {
+                        gaps.entry(l).or_insert(squared.sqrt());
+                    }
+                }
+                for (l, gap) in gaps {
+                    if let Some(sheet) = self.wide_sheet(l, &p.position)
+                        && self.agrees(&sheet, &p, gap)
+                    {
+                        *votes.entry(l).or_default() += 1;
+                    }
+                }
+            }
+            let best = votes
+                .iter()
+                .max_by_key(|(l, n)| (**n, std::cmp::Reverse(**l)));
+            if let Some((l, n)) = best
+                && n * 5 >= own.len() * 4
+            {
+                for i in own {
+                    self.label[i] = *l;
+                }
+            }
+        }
+    }
+
+    /// Points of dropped regions join the neighbouring region whose sheet predicts them best, within twice
+    /// the usual bounds.
+    fn adopt(&mut self, neighbours: &[Vec<u32>]) {
+        for _ in 0..3 {
+            let mut found = Vec::new();
+            for i in (0..self.points.len()).filter(|i| self.label[*i] == NONE) {
+                let mut labels: Vec<u32> = neighbours[i]
+                    .iter()
+                    .map(|j| self.label[*j as usize])
+                    .collect();
+                labels.retain(|l| *l != NONE);
+                labels.sort_unstable();
+                labels.dedup();
+                let p = &self.points[i];
+                let mut best: Option<(f64, u32)> = None;
+                for l in labels {
+                    let Some(sheet) = self.sheet(l, &p.position, 16) else {
+                        continue;
+                    };
+                    let off = sheet.distance(&p.position).abs()
+                        / (2.0 * AGREE * self.scatter.position + 0.2 * self.spacing);
+                    let turn = (sheet.normal(&p.position) - p.normal).norm()
+                        / (2.0 * AGREE * self.scatter.normal + 2.0 * AGREE_NORMAL);
+                    let miss = off.max(turn);
+                    if miss < 1.0 && best.is_none_or(|(m, _)| miss < m) {
+                        best = Some((miss, l));
+                    }
+                }
+                if let Some((_, l)) = best {
+                    found.push((i, l));
+                }
+            }
+            if found.is_empty() {
+                break;
+            }
+            for (i, l) in found {
+                self.label[i] = l;
+            }
+        }
+    }
+
+    /// All pairs of regions with neighbouring points, and how they meet.
+    fn boundaries(&self, neighbours: &[Vec<u32>], turn_min: f64) -> Vec<Boundary> {
+        let mut places: Vec<([u32; 2], u32, u32)> = Vec::new();
+        for i in 0..self.points.len() as u32 {
+            for &j in neighbours[i as usize].iter().take(10) {
+                let (a, b) = (self.label[i as usize], self.label[j as usize]);
+                let twice = j < i && neighbours[j as usize].iter().take(10).any(|k| *k == i);
+                if a != NONE && b != NONE && a != b && !twice {
+                    let (i, j) = if a < b { (i, j) } else { (j, i) };
+                    places.push(([a.min(b), a.max(b)], i, j));
+                }
+            }
+        }
+        places.sort_unstable();
+        let mut out: Vec<Boundary> = Vec::new();
+        for (regions, i, j) in places {
+            let turn = self.turn_at(regions, i, j);
+            if out.last().is_none_or(|b| b.regions != regions) {
+                out.push(Boundary {
+                    regions,
+                    places: 0,
+                    sharp: 0,
+                    turn: 0.0,
+                });
+            }
+            if let Some(b) = out.last_mut() {
+                b.places += 1;
+                b.sharp += usize::from(turn > turn_min);
+                b.turn += (turn - b.turn) / b.places as f64;
+            }
+        }
+        out
+    }
+
+    /// The angle, radians, at which the sheets of two regions meet between points `i` and `j`; 0 if they
+    /// do not, or if points near by contradict them.
+    fn turn_at(&self, regions: [u32; 2], i: u32, j: u32) -> f64 {
+        let (p, q) = (&self.points[i as usize], &self.points[j as usize]);
+        let middle = (p.position + q.position) * 0.5;
+        let (Some(a), Some(b)) = (
+            self.sheet(regions[0], &middle, SHEET_POINTS),
+            self.sheet(regions[1], &middle, SHEET_POINTS),
+        ) else {
+            return 0.0;
+        };
+        let reach = 1.5 * self.spacing.max((p.position - q.position).norm());
+        let Some(x) = meet(&[&a, &b], &middle, reach) else {
+            return 0.0;
+        };
+        // Each sheet must end in points of its own: carried on by more than two spacings it is a guess.
+        let mut ends = [f64::INFINITY; 2];
+        let (mut near, mut against) = (0usize, 0usize);
+        for (k, squared) in self.tree.within(&x, 2.5 * self.spacing) {
+            let side = regions.iter().position(|r| *r == self.label[k]);
+            if let Some(s) = side {
+                ends[s] = ends[s].min(squared.sqrt());
+            }
+            let point = &self.points[k];
+            if point.normal.dot(&(p.normal + q.normal)) <= 0.0 {
+                continue;
+            }
+            near += 1;
+            let sheet = match side {
+                Some(0) => &a,
+                Some(_) => &b,
+                None => {
+                    against += 1;
+                    continue;
+                }
+            };
+            against += usize::from(!self.agrees(sheet, point, 0.0));
+        }
+        if ends.iter().any(|e| !e.is_finite()) || against * 5 > near {
+            return 0.0;
+        }
+        let (m, n) = (a.normal(&x), b.normal(&x));
+        m.cross(&n).norm().atan2(m.dot(&n))
+    }
+}
+
+/// How two regions meet.
+#[derive(Clone, Copy, Debug)]
+struct Boundary {
+    regions: [u32; 2],
+    /// Pairs of neighbouring points across it.
+    places: usize,
+    /// Those at which the sheets meet at an angle.
+    sharp: usize,
+    /// Mean angle, radians.
+    turn: f64,
+}
