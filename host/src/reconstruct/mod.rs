@@ -1,7 +1,7 @@
 //! The four phases, and the driver that runs them. The only place where cloud, mesh and spline meet.
 
-mod driver;
 pub mod creases;
+mod driver;
 pub mod extract;
 pub mod fit;
 pub mod frame;
