@@ -5,3 +5,4 @@ pub mod emulator;
 pub mod fault_line;
 pub mod patches;
 pub mod python;
+pub mod kill;

@@ -456,3 +456,43 @@ fn a_stopped_capture_keeps_everything() {
     );
     assert!(result.reports[0].complete);
 }
+
+#[test]
+fn a_slow_disk_does_not_hold_up_the_boards() {
+    // A pipe that nobody reads for a while stands for the disk: it takes 64 kB and then blocks.
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("run.pipe");
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+    assert!(made.is_ok_and(|s| s.success()), "mkfifo is there");
+    let name = finger_names().remove(0);
+    let mut bench = BenchSettings::new(&name, 0);
+    bench.period_us = 1_000;
+    let bench = BenchBoard::start(bench);
+    tare(bench.path());
+    bench.press(true);
+
+    let reader = {
+        let pipe = pipe.clone();
+        std::thread::spawn(move || {
+            let mut file = std::fs::File::open(pipe).unwrap();
+            std::thread::sleep(Duration::from_secs(3));
+            let mut bytes = Vec::new();
+            std::io::Read::read_to_end(&mut file, &mut bytes).unwrap();
+            bytes
+        })
+    };
+    let mut settings = settings(&[(name, bench.path().to_owned())], &pipe);
+    settings.replace = true;
+    settings.duration = Some(Duration::from_secs(3));
+    let summary = capture(&settings, &AtomicBool::new(false), &mut quiet).unwrap();
+    let status = &summary.progress.fingers[0].1;
+    assert_eq!((status.lost, status.dropped_by_host), (0, 0), "{status:?}");
+    // More than the pipe takes had been made while it was blocked.
+    assert!(status.contacts > 1_500, "{status:?}");
+
+    let output = folder.path().join("run.mcap");
+    std::fs::write(&output, reader.join().unwrap()).unwrap();
+    let result = points(&[output], None).unwrap();
+    assert!(result.reports[0].complete);
+    assert_eq!(result.reports[0].fingers[0].contacts, status.contacts);
+}

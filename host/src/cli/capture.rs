@@ -106,6 +106,7 @@ pub fn exit_of(error: &CaptureError) -> Exit {
         CaptureError::Run(RunError::Write { .. }) => Exit::Device,
         CaptureError::Run(_) | CaptureError::Hand(_) => Exit::Input,
         CaptureError::UnknownFinger { .. }
+        | CaptureError::FingerName { .. }
         | CaptureError::Twice { .. }
         | CaptureError::NoFinger => Exit::Usage,
     }
@@ -141,11 +142,14 @@ impl Screen {
                 port,
                 identity,
             } => self.line(&format!(
-                "{finger}: board `{}` on {port}, firmware {}, {} Hz, calibration {}",
+                "{finger}: board `{}` on {port}, firmware {}, {} Hz, {}",
                 identity.finger_name,
                 identity.firmware_version,
                 1_000_000 / identity.period_us.max(1),
-                identity.calibration_id,
+                match identity.calibration_id {
+                    0 => "NO CALIBRATION: no contact will be valid".to_owned(),
+                    id => format!("calibration {id}"),
+                }
             )),
             CaptureEvent::Note {
                 finger,

@@ -104,27 +104,27 @@ pub fn wire_time(path: &str, baud: u32) -> WireTime {
 
 /// Names under which a device that was `path` may have come back: itself, its neighbours that differ only in the
 /// number at the end (`/dev/ttyUSB0` and `/dev/ttyUSB3`), and the system's other serial ports of that kind.
+///
+/// Terminals are nobody's board: neighbours under `/dev/pts` and the consoles `/dev/tty0` and on are never named.
 pub fn candidates(path: &str) -> Vec<String> {
     let mut found = BTreeSet::new();
     let stem = |name: &str| {
         name.trim_end_matches(|c: char| c.is_ascii_digit())
             .to_owned()
     };
-    let own = Path::new(path);
-    if let (Some(folder), Some(name)) = (own.parent(), own.file_name()) {
-        let wanted = stem(&name.to_string_lossy());
+    let wanted = stem(path);
+    if !["/dev/pts/", "/dev/tty", ""].contains(&wanted.as_str()) {
+        let folder = Path::new(path).parent().unwrap_or(Path::new(""));
         for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-            let name = entry.file_name();
-            let same_kind = !wanted.is_empty() && stem(&name.to_string_lossy()) == wanted;
-            if same_kind {
-                found.insert(entry.path().to_string_lossy().into_owned());
+            let neighbour = entry.path().to_string_lossy().into_owned();
+            if stem(&neighbour) == wanted {
+                found.insert(neighbour);
             }
         }
-    }
-    let wanted = stem(path);
-    for port in serialport::available_ports().unwrap_or_default() {
-        if stem(&port.port_name) == wanted {
-            found.insert(port.port_name);
+        for port in serialport::available_ports().unwrap_or_default() {
+            if stem(&port.port_name) == wanted {
+                found.insert(port.port_name);
+            }
         }
     }
     found.remove(path);
@@ -155,6 +155,9 @@ mod tests {
             })
             .collect();
         assert_eq!(names, ["board1", "board", "board0", "board12"]);
+        for terminal in ["/dev/pts/0", "/dev/tty1"] {
+            assert_eq!(candidates(terminal), [terminal]);
+        }
     }
 
     #[test]

@@ -395,7 +395,8 @@ impl Session {
         self.note(
             sink,
             Weight::Warning,
-            "the board has restarted; its clock is aligned anew".into(),
+            "the board has restarted: its clock is aligned anew, its tare is gone; tare it when the tip is free"
+                .into(),
         );
     }
 

@@ -153,6 +153,14 @@ pub enum CaptureError {
         /// Its name.
         name: String,
     },
+    /// The name can't be that of a channel.
+    #[error(
+        "finger name `{finger}` is empty or has a slash or a line break in it; rename it in the hand file"
+    )]
+    FingerName {
+        /// The name.
+        finger: String,
+    },
     /// No finger was given.
     #[error("no finger to record; give at least one --finger NAME=PORT")]
     NoFinger,
@@ -396,6 +404,11 @@ fn check_fingers(settings: &CaptureSettings, hand: &Hand) -> Result<Vec<Finger>,
     }
     let mut fingers = Vec::new();
     for (k, (name, port)) in settings.fingers.iter().enumerate() {
+        if name.is_empty() || name.contains(['/', '\n']) {
+            return Err(CaptureError::FingerName {
+                finger: name.clone(),
+            });
+        }
         for (other_name, other_port) in &settings.fingers[..k] {
             for (what, a, b) in [("finger", name, other_name), ("port", port, other_port)] {
                 if a == b {

@@ -28,7 +28,11 @@ pub trait Durable: Write {
 
 impl Durable for File {
     fn make_safe(&mut self) -> io::Result<()> {
-        self.sync_data()
+        match self.sync_data() {
+            // A pipe or a device has nothing to be synced.
+            Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+            other => other,
+        }
     }
 }
 
