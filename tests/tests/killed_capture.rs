@@ -42,6 +42,7 @@ fn a_killed_capture_opens_and_loses_at_most_a_second() {
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let (mut opened, mut largest_loss_s, mut complete): (usize, f64, usize) = (0, 0.0, 0);
     for kill in 0..kills {
+        let at_start = bench.sent().len();
         let mut child = start_child("child_that_captures", "index", bench.path(), &output);
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
         assert!(
@@ -68,25 +69,17 @@ fn a_killed_capture_opens_and_loses_at_most_a_second() {
         .unwrap();
         let result = points(std::slice::from_ref(&output), None).unwrap();
         assert!(!result.reports[0].complete || run.complete);
-        // The board's time of the last contact it had sent when the child was killed.
+        // From the last contact kept, or the first made for this child if none was, to the last one made for it.
         let sent = bench.sent();
-        let sent_last = sent[..before].iter().rev().find_map(|frame| {
-            match decode_wire(&frame[..frame.len() - 1]) {
-                Ok(BoardMessage::Contact(contact)) => Some(contact.board_time_us),
-                _ => None,
-            }
-        });
-        let first = sent
+        let times: Vec<u64> = sent[at_start..before]
             .iter()
-            .find_map(|frame| match decode_wire(&frame[..frame.len() - 1]) {
+            .filter_map(|frame| match decode_wire(&frame[..frame.len() - 1]) {
                 Ok(BoardMessage::Contact(contact)) => Some(contact.board_time_us),
                 _ => None,
-            });
-        // A child killed within its first moments may have kept none: then all since its start is lost, which is
-        // at most what it had time for.
-        if let (Some(sent_last), Some(first)) = (sent_last, first) {
-            let kept = last.unwrap_or(first.max(sent_last.saturating_sub(600_000)));
-            let loss_s = sent_last.saturating_sub(kept) as f64 * 1e-6;
+            })
+            .collect();
+        if let (Some(&first), Some(&latest)) = (times.first(), times.last()) {
+            let loss_s = latest.saturating_sub(last.unwrap_or(first)) as f64 * 1e-6;
             largest_loss_s = largest_loss_s.max(loss_s);
             assert!(loss_s <= 1.0, "kill {kill}: {loss_s} s lost");
         }

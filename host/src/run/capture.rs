@@ -13,7 +13,7 @@
 
 use super::RunError;
 use super::schema::{Level, LinkState};
-use super::writer::{RunStart, RunWriter, WorldContact};
+use super::writer::{LogFile, RunStart, RunWriter, WorldContact};
 use crate::Vec3;
 use crate::hand::{Finger, Hand};
 use crate::link::LinkError;
@@ -21,7 +21,6 @@ use crate::link::host_clock::HostClock;
 use crate::link::session::{LinkEvent, LinkStatus, Session, SessionSettings, Weight};
 use palpus_protocol::{Contact, Identity, Streams};
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -96,7 +95,7 @@ pub struct CaptureProgress {
     pub fingers: Vec<(String, LinkStatus)>,
     /// Valid contacts written.
     pub points: u64,
-    /// Bytes safe on the disk.
+    /// Bytes the file has, safe from the end of the process.
     pub safe_bytes: u64,
 }
 
@@ -485,7 +484,7 @@ struct Gathered {
 
 /// The writing thread's side.
 struct Recorder<'a> {
-    writer: RunWriter<File>,
+    writer: RunWriter<LogFile>,
     fingers: Vec<Finger>,
     clouds: Vec<Gathered>,
     settings: &'a CaptureSettings,
@@ -494,7 +493,7 @@ struct Recorder<'a> {
 
 impl<'a> Recorder<'a> {
     fn new(
-        writer: RunWriter<File>,
+        writer: RunWriter<LogFile>,
         fingers: Vec<Finger>,
         settings: &'a CaptureSettings,
         clock: HostClock,

@@ -19,8 +19,8 @@
 //!
 //! # What it promises
 //!
-//! - Chunks are closed, written in one go and handed to the disk at most every [`FLUSH_EVERY`], so that a
-//!   killed process or a lost power supply costs at most that much plus the time the disk takes.
+//! - Chunks are closed, written in one go and handed to the system at most every [`FLUSH_EVERY`], so that a
+//!   killed process costs at most that much, and a lost power supply that much plus the time the disk takes.
 //! - The file grows only at its end. Cut off anywhere, all complete chunks and the whole messages of the last,
 //!   broken one are read back .
 //! - A damaged chunk costs what is damaged: frames carry a check sum of their own and are taken one by one.
@@ -39,7 +39,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 /// Longest time between two flushes of a run that is being written.
-pub const FLUSH_EVERY: Duration = Duration::from_millis(500);
+pub const FLUSH_EVERY: Duration = Duration::from_millis(400);
 /// Version of the layout described above; a reader refuses a newer one.
 pub const FORMAT_VERSION: u32 = 1;
 
