@@ -3,6 +3,6 @@
 pub mod bench_board;
 pub mod emulator;
 pub mod fault_line;
+pub mod kill;
 pub mod patches;
 pub mod python;
-pub mod kill;
