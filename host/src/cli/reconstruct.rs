@@ -6,6 +6,7 @@ use palpus_host::cloud::{self, Cloud};
 use palpus_host::export::surface_file::Provenance;
 use palpus_host::export::{Origin, SurfaceFile, sampled_from_mesh, step, write_bytes, write_mesh};
 use palpus_host::picture::{FigureOptions, Stages, View};
+use palpus_host::reconstruct::creases::CreaseOptions;
 use palpus_host::reconstruct::extract;
 use palpus_host::reconstruct::fit::NormalTerm;
 use palpus_host::reconstruct::{Options, Progress, Reconstruction, Stage, reconstruct};
@@ -53,6 +54,9 @@ pub struct Args {
     /// border. Default: from the data, with the reason in the report.
     #[arg(long, value_name = "GAP")]
     max_gap: Option<f64>,
+    /// Make everything smooth: look for no creases.
+    #[arg(long)]
+    no_creases: bool,
     /// Most memory phase 1 may take, in MB.
     #[arg(long, value_name = "MB", default_value_t = 2048)]
     max_memory: usize,
@@ -142,6 +146,7 @@ pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
             max_memory: args.max_memory.saturating_mul(1 << 20),
             ..extract::Options::default()
         },
+        creases: (!args.no_creases).then(CreaseOptions::default),
         ..Options::default()
     };
     if args.output.is_some() && options.stop_after < Stage::Fit {

@@ -1,16 +1,17 @@
 //! The driver: runs the four phases one after the other and says what each did.
 
+use super::creases::{self, CreaseOptions, Creased};
 use super::extract::{self, ExtractError, Extracted};
 use super::fit::foot::Foot;
 use super::fit::{Datum, FitOptions, Kind, NormalTerm};
 use super::frame::Frame;
 use super::refine::templates::Base;
-use super::simplify::{self, CreaseLines, Simplified, SimplifyError};
+use super::simplify::{self, Simplified, SimplifyError};
 use super::surfacing::{
     Fitted, RefineEnd, SurfacingError, SurfacingOptions, distances, fit_base, normal_angles, refine,
 };
 use crate::Vec3;
-use crate::cloud::Cloud;
+use crate::cloud::{Cloud, Neighbourhoods};
 use crate::mesh::TriangleMesh;
 use crate::report::{
     ErrorFigures, InputFigures, NormalFigures, PhaseFigures, Report, SurfaceFigures,
@@ -51,6 +52,8 @@ pub struct Options {
     pub stop_after: Stage,
     /// Phase 1.
     pub extract: extract::Options,
+    /// Creases; `None` makes everything smooth.
+    pub creases: Option<CreaseOptions>,
     /// Phase 2. Its accuracy, where it is not set, follows from tolerance and noise.
     pub simplify: simplify::Options,
     /// Threads; without it all cores. The result does not depend on it.
@@ -67,6 +70,7 @@ impl Default for Options {
             rounds: 4,
             stop_after: Stage::Refine,
             extract: extract::Options::default(),
+            creases: Some(CreaseOptions::default()),
             simplify: simplify::Options::default(),
             threads: None,
         }
@@ -202,7 +206,8 @@ fn run(
     progress(Progress::Phase("simplify"));
     let started = Instant::now();
     let (tolerance, tolerance_from) = tolerance(options, &frame, noise.position_sigma);
-    let simplified = simplify_mesh(&inner, &extracted, options, tolerance)?;
+    let creased = find_creases(&inner, &extracted, options)?;
+    let simplified = simplify_mesh(&inner, &extracted, &creased, options, tolerance)?;
     out.simplified = Some(frame.mesh(&simplified.mesh));
     out.report.phases.push(PhaseFigures {
         name: "simplify".into(),
@@ -217,7 +222,7 @@ fn run(
 
     progress(Progress::Phase("fit"));
     let started = Instant::now();
-    let (data, numbers) = data(&inner, &extracted, &simplified, options);
+    let (data, numbers) = data(&inner, &extracted, &creased, &simplified, options);
     let surfacing = SurfacingOptions {
         fit: FitOptions {
             rounds: options.rounds,
@@ -361,9 +366,36 @@ fn smoothing(sigma: f64) -> f64 {
     (1e-3 * (sigma / 3e-3).powi(2)).clamp(1e-7, 1e-2)
 }
 
+/// The extracted mesh cut along the creases that the inliers show.
+fn find_creases(
+    inner: &Cloud,
+    extracted: &Extracted,
+    options: &Options,
+) -> Result<Creased, SimplifyError> {
+    let Some(creases) = &options.creases else {
+        return Ok(Creased {
+            mesh: extracted.mesh.clone(),
+            ..Creased::default()
+        });
+    };
+    let mut outliers = extracted.outliers.iter().peekable();
+    let inliers = Cloud {
+        points: inner
+            .points
+            .iter()
+            .enumerate()
+            .filter(|(number, _)| outliers.next_if_eq(&number).is_none())
+            .map(|(_, point)| *point)
+            .collect(),
+        rejected: Vec::new(),
+    };
+    Ok(creases::find(&inliers, &extracted.mesh, creases)?)
+}
+
 fn simplify_mesh(
     inner: &Cloud,
     extracted: &Extracted,
+    creased: &Creased,
     options: &Options,
     tolerance: f64,
 ) -> Result<Simplified, SimplifyError> {
@@ -376,9 +408,9 @@ fn simplify_mesh(
         Some((foot, normal))
     };
     simplify::simplify(
-        &extracted.mesh,
+        &creased.mesh,
         inner,
-        &CreaseLines::default(),
+        &creased.lines,
         &simplify_options,
         Some(&project),
     )
@@ -389,6 +421,7 @@ fn simplify_mesh(
 fn data(
     inner: &Cloud,
     extracted: &Extracted,
+    creased: &Creased,
     simplified: &Simplified,
     options: &Options,
 ) -> (Vec<Datum>, Vec<usize>) {
@@ -425,11 +458,19 @@ fn data(
             kind: Kind::Measured,
         });
     }
-    let mesh = &extracted.mesh;
+    let mesh = &creased.mesh;
+    let near_crease = near_creases(creased, 3.0 * extracted.spacing);
+    let normals = mesh.vertex_normals();
     let wanted = FIELD_SAMPLES.max(FIELD_SAMPLES_PER_PATCH * simplified.mesh.faces.len());
     let stride = mesh.positions.len().div_ceil(wanted).max(1);
-    for position in mesh.positions.iter().step_by(stride) {
-        let Some(normal) = extracted.field.gradient(position).try_normalize(1e-12) else {
+    for (number, position) in mesh.positions.iter().enumerate().step_by(stride) {
+        // The field rounds creases off: near them the mesh, put back onto the sheets, knows better.
+        let normal = match near_crease.get(number) {
+            Some(Near::On) => continue,
+            Some(Near::Beside) => normals[number],
+            _ => extracted.field.gradient(position),
+        };
+        let Some(normal) = normal.try_normalize(1e-12) else {
             continue;
         };
         data.push(Datum {
@@ -440,7 +481,15 @@ fn data(
             kind: Kind::Field,
         });
     }
-    data.extend(border(mesh).into_iter().map(|position| Datum {
+    let lines = border(mesh).into_iter().chain(
+        creased
+            .lines
+            .edges
+            .iter()
+            .flatten()
+            .filter_map(|v| mesh.positions.get(*v as usize).copied()),
+    );
+    data.extend(lines.map(|position| Datum {
         position,
         normal: Vec3::z(),
         weight: FIELD_WEIGHT,
@@ -448,6 +497,43 @@ fn data(
         kind: Kind::Line,
     }));
     (data, numbers)
+}
+
+/// Where a vertex of the cut mesh lies.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Near {
+    /// On a crease.
+    On,
+    /// Within the strip that the field rounds off.
+    Beside,
+    /// Elsewhere.
+    Away,
+}
+
+/// Where each vertex lies with respect to the creases; empty if there are none.
+fn near_creases(creased: &Creased, reach: f64) -> Vec<Near> {
+    if creased.lines.edges.is_empty() {
+        return Vec::new();
+    }
+    let positions = &creased.mesh.positions;
+    let mut near = vec![Near::Away; positions.len()];
+    let mut on: Vec<u32> = creased.lines.edges.iter().flatten().copied().collect();
+    on.sort_unstable();
+    on.dedup();
+    on.retain(|v| (*v as usize) < positions.len());
+    let line = Neighbourhoods::new(on.iter().map(|v| positions[*v as usize]).collect());
+    for (state, position) in near.iter_mut().zip(positions) {
+        if line
+            .nearest_one(position)
+            .is_some_and(|(_, d2)| d2 < reach * reach)
+        {
+            *state = Near::Beside;
+        }
+    }
+    for v in on {
+        near[v as usize] = Near::On;
+    }
+    near
 }
 
 /// Vertices and middles of the border edges of the extracted mesh.
