@@ -255,6 +255,14 @@ impl Camera {
         }
     }
 
+    /// Direction in view space from the viewer to the point of view space seen there.
+    pub(super) fn gaze(&self, at: [f32; 3]) -> [f32; 3] {
+        match self.projection {
+            Projection::Perspective => at,
+            Projection::Parallel => [0.0, 0.0, -1.0],
+        }
+    }
+
     /// A point of view space moved towards the viewer by `step`, seen at the same place.
     pub(super) fn nearer(&self, p: &Vec3, step: f64) -> Vec3 {
         match self.projection {

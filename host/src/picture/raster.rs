@@ -12,8 +12,8 @@ use rayon::prelude::*;
 use super::camera::{Camera, Seen};
 use super::colour::{Colour, Srgb};
 use super::image::Image;
-use super::scene::Scene;
-use super::shade::{Occlusion, background, shade};
+use super::scene::{Paint, Scene};
+use super::shade::{Occlusion, background, shade, strip_lights};
 use crate::Vec3;
 
 /// Pixels along a tile's side.
@@ -35,6 +35,7 @@ struct Facet {
     vertices: [u32; 3],
     flat: Option<[f32; 3]>,
     inside: Colour,
+    reflects: bool,
 }
 
 struct Ball {
@@ -149,6 +150,7 @@ impl<'a> Prepared<'a> {
                     vertices: triangle.map(|v| v + first),
                     flat,
                     inside: body.inside.into(),
+                    reflects: body.paint == Paint::Reflections,
                 });
             }
         }
@@ -415,11 +417,25 @@ impl<'a> Prepared<'a> {
                         colours[sample] = ground;
                         continue;
                     }
-                    if what != last.0 {
+                    let reflects = self
+                        .facets
+                        .get(what as usize)
+                        .is_some_and(|facet| facet.reflects);
+                    // Stripes have edges within a facet, so each sample asks anew.
+                    if what != last.0 || reflects {
                         let (x, y) = place(row + dy, column + dx);
-                        let (normal, colour) = self.surface_at(what, x, y);
-                        let open = occlusion.open_at(x, y, visible.nearness[sample]);
-                        last = (what, shade(normal, colour, open));
+                        let nearness = visible.nearness[sample];
+                        let (normal, mut colour) = self.surface_at(what, x, y);
+                        if reflects {
+                            let at =
+                                self.camera
+                                    .unsee(Seen { x, y, nearness }, self.width, self.height);
+                            colour = strip_lights(normal, self.camera.gaze(at), colour);
+                        }
+                        last = (
+                            what,
+                            shade(normal, colour, occlusion.open_at(x, y, nearness)),
+                        );
                     }
                     colours[sample] = last.1;
                 }

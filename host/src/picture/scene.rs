@@ -23,6 +23,9 @@ pub enum Paint {
     },
     /// One colour per vertex (or point).
     Each(Vec<Srgb>),
+    /// What a polished surface would show of strip lights that run across the view: stripes that are continuous where
+    /// the surface's tangent plane is and free of kinks where its curvature is.
+    Reflections,
 }
 
 impl Paint {
@@ -55,6 +58,7 @@ impl Paint {
                         .into()
                 })
                 .collect(),
+            Self::Reflections => vec![Colour::hex(0xF2F4F6).into(); count],
         }
     }
 }

@@ -40,6 +40,19 @@ pub(super) fn shade(normal: [f32; 3], colour: Colour, open: f32) -> Colour {
     Colour(colour.0.map(|x| x * (lamps + ambient) + gloss))
 }
 
+/// Colour of a polished surface among strip lights that run from left to right: `light` where it mirrors a light,
+/// dark where it mirrors a gap. Six of each over half a turn.
+pub(super) fn strip_lights(normal: [f32; 3], gaze: [f32; 3], light: Colour) -> Colour {
+    let along: f32 = normal.iter().zip(&gaze).map(|(n, g)| n * g).sum();
+    let mirrored = [0, 1, 2].map(|i| gaze[i] - 2.0 * along * normal[i]);
+    let angle = mirrored[1].atan2(mirrored[2]);
+    if (12.0 * angle).sin() > 0.0 {
+        light
+    } else {
+        Colour([0.013, 0.022, 0.033])
+    }
+}
+
 /// How much light from around reaches each pixel.
 pub(super) struct Occlusion {
     width: usize,

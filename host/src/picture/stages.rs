@@ -162,7 +162,7 @@ impl Stages<'_> {
         let mut figures = Vec::new();
         if let Some(cloud) = self.cloud {
             figures.push(Figure {
-                file: "1-points.png",
+                file: "01-points.png",
                 scene: points_with_normals(cloud, &self.camera(options.view, options)),
                 caption: caption(
                     "Points with normals",
@@ -171,8 +171,8 @@ impl Stages<'_> {
             });
         }
         for (file, title, mesh, width) in [
-            ("2-extracted.png", "Extracted mesh", self.extracted, 0.8),
-            ("3-simplified.png", "Simplified mesh", self.simplified, 1.5),
+            ("02-extracted.png", "Extracted mesh", self.extracted, 0.8),
+            ("03-simplified.png", "Simplified mesh", self.simplified, 1.5),
         ] {
             if let Some(mesh) = mesh {
                 figures.push(Figure {
@@ -183,8 +183,8 @@ impl Stages<'_> {
             }
         }
         for (file, title, surface) in [
-            ("4-fitted.png", "Fitted patches", self.fitted),
-            ("5-refined.png", "Refined patches", self.refined),
+            ("04-fitted.png", "Fitted patches", self.fitted),
+            ("05-refined.png", "Refined patches", self.refined),
         ] {
             if let Some(surface) = surface {
                 let sampled = surface.sample_per_patch(fineness(surface))?;
@@ -222,7 +222,7 @@ impl Stages<'_> {
             ..Scene::default()
         };
         figures.push(Figure {
-            file: "6-surface.png",
+            file: "06-surface.png",
             scene: with(Paint::Plain(CLAY)),
             caption: caption(
                 "Surface",
@@ -266,7 +266,7 @@ impl Stages<'_> {
                 map: ColourMap::Viridis,
             });
             figures.push(Figure {
-                file: "7-error.png",
+                file: "07-error.png",
                 scene,
                 caption,
             });
@@ -287,7 +287,7 @@ impl Stages<'_> {
                 map: ColourMap::Cividis,
             });
             figures.push(Figure {
-                file: "8-confidence.png",
+                file: "08-confidence.png",
                 scene: with(Paint::Scalar {
                     values: sampled.sigma.clone(),
                     low,
@@ -312,12 +312,12 @@ impl Stages<'_> {
             .filter(|h| h.is_finite())
             .collect();
         let high = quantile(&sizes, 0.95);
-        let mut caption = caption(
+        let mut mapped = caption(
             "Mean curvature",
             "brown bends outwards, blue inwards".to_owned(),
         );
-        caption.legend = Some(Legend {
-            label: match caption.unit.as_str() {
+        mapped.legend = Some(Legend {
+            label: match mapped.unit.as_str() {
                 "" => "1 / length".to_owned(),
                 unit => format!("1 / {unit}"),
             },
@@ -326,14 +326,22 @@ impl Stages<'_> {
             map: ColourMap::BlueBrown,
         });
         figures.push(Figure {
-            file: "9-curvature.png",
+            file: "09-curvature.png",
             scene: with(Paint::Scalar {
                 values: mean,
                 low: -high,
                 high,
                 map: ColourMap::BlueBrown,
             }),
-            caption,
+            caption: mapped,
+        });
+        figures.push(Figure {
+            file: "10-reflections.png",
+            scene: with(Paint::Reflections),
+            caption: caption(
+                "Reflection lines",
+                "stripes break at creases and bend where curvature jumps".to_owned(),
+            ),
         });
         Ok(())
     }
@@ -663,15 +671,16 @@ pub(super) mod tests {
         assert_eq!(
             names,
             [
-                "1-points.png",
-                "2-extracted.png",
-                "3-simplified.png",
-                "4-fitted.png",
-                "5-refined.png",
-                "6-surface.png",
-                "7-error.png",
-                "8-confidence.png",
-                "9-curvature.png",
+                "01-points.png",
+                "02-extracted.png",
+                "03-simplified.png",
+                "04-fitted.png",
+                "05-refined.png",
+                "06-surface.png",
+                "07-error.png",
+                "08-confidence.png",
+                "09-curvature.png",
+                "10-reflections.png",
                 "contact-sheet.png",
                 "turntable.png"
             ]

@@ -77,7 +77,7 @@
       if (inside) base = vec3(.71, .56, .42);
       if (mode == 2) {
         vec3 r = reflect(normalize(p), m);
-        float s = atan(r.x, r.y) * 6.;
+        float s = atan(r.y, r.z) * 12.;
         float w = fwidth(s) + 1e-6;
         float stripe = smoothstep(-w, w, sin(s) / max(1., abs(cos(s))));
         base = mix(vec3(.12, .16, .2), vec3(.95), stripe);
@@ -232,7 +232,7 @@
   // The distance at which a ball around everything just fits.
   const reach = () => {
     const aspect = canvas.width / canvas.height || 1;
-    return scene.radius / Math.sin(Math.min(halfAngle, Math.atan(Math.tan(halfAngle) * aspect))) * 0.92;
+    return scene.radius / Math.sin(Math.min(halfAngle, Math.atan(Math.tan(halfAngle) * aspect)));
   };
   const matrices = () => {
     const { right, up, back } = axes();
