@@ -39,7 +39,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 /// Longest time between two flushes of a run that is being written.
-pub const FLUSH_EVERY: Duration = Duration::from_millis(400);
+pub const FLUSH_EVERY: Duration = Duration::from_millis(250);
 /// Version of the layout described above; a reader refuses a newer one.
 pub const FORMAT_VERSION: u32 = 1;
 
