@@ -16,15 +16,23 @@ pub struct Field {
     shape: Shape,
     tree: Neighbourhoods,
     levels: Levels,
+    contact_spacing: f64,
 }
 
 impl Field {
-    pub(super) fn new(frame: Frame, shape: Shape, tree: Neighbourhoods, levels: Levels) -> Self {
+    pub(super) fn new(
+        frame: Frame,
+        shape: Shape,
+        tree: Neighbourhoods,
+        levels: Levels,
+        contact_spacing: f64,
+    ) -> Self {
         Self {
             frame,
             shape,
             tree,
             levels,
+            contact_spacing,
         }
     }
 
@@ -46,16 +54,21 @@ impl Field {
             .map(|y| self.frame.outward(&y))
     }
 
-    /// Standard deviation of the surface's position near `x`, unit of the input: the posterior ones of the local fits at
-    /// their centres, blended like their values, so that it is a fraction of the noise on the tracks and grows in
-    /// gaps; beyond the reach of the fits it grows with the square of the distance.
+    /// Standard deviation of the surface's position near `x`, unit of the input.
+    ///
+    /// The posterior ones of the local fits at their centres are blended like their values, and grow with the distance d
+    /// from the nearest contact by 1 + (d / contact spacing)^2: on the mug's tracks the true error grew from 1.0 to 7.2
+    /// (in 1e-3 of the diagonal) from d = 0.3 to 2.5 spacings, as this factor does, while the posterior alone
+    /// promised far less than that.
     pub fn confidence(&self, x: &Vec3) -> f64 {
         let x = self.frame.inward(x);
-        let sigma = self.shape.sigma(&x).unwrap_or_else(|| {
-            let nearest = self.tree.nearest_one(&x);
-            nearest.map_or(1.0, |(_, d2)| 2.0 * d2)
-        });
-        self.frame.scale * sigma.max(0.1 * self.levels.position_sigma)
+        let distance2 = self.tree.nearest_one(&x).map_or(1.0, |(_, d2)| d2);
+        let least = 0.1 * self.levels.position_sigma;
+        let sigma = self
+            .shape
+            .sigma(&x)
+            .map_or(self.levels.position_sigma, |s| s.max(least));
+        self.frame.scale * sigma * (1.0 + distance2 / self.contact_spacing.powi(2))
     }
 
     /// Number of local fits, or of tangent planes.

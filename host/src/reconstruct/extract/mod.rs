@@ -186,7 +186,7 @@ pub fn extract(cloud: &Cloud, options: &Options) -> Result<Extracted, ExtractErr
     let bytes = shape.bytes() + marched.cubes * BYTES_PER_CUBE;
     Ok(Extracted {
         mesh,
-        field: Field::new(frame, shape, tree, levels),
+        field: Field::new(frame, shape, tree, levels, contact_spacing),
         noise: NoiseEstimate {
             position_sigma: levels.position_sigma * frame.scale,
             normal_sigma: levels.normal_sigma,
@@ -389,7 +389,9 @@ mod tests {
             }
             let u = u.normalize();
             let axes = Vec3::new(0.5, 0.35, 0.25);
-            let mut jitter = || Vec3::new(uniform(), uniform(), uniform()) * 3f64.sqrt();
+            // Twelve uniform numbers with variance 1/3 each: normal enough, variance 4.
+            let mut normal = || 0.5 * (0..12).map(|_| uniform()).sum::<f64>();
+            let mut jitter = || Vec3::new(normal(), normal(), normal());
             let position = u.component_mul(&axes) + noise * jitter();
             let normal = u.component_div(&axes).normalize() + tilt * jitter();
             cloud.points.push(contact(position, normal.normalize()));
@@ -486,7 +488,10 @@ mod tests {
             match i / 20 % 3 {
                 0 => p.normal = -p.normal,
                 1 => p.position += 12.0 * noise * p.normal,
-                _ => p.position = Vec3::new(0.01 * i as f64 % 0.9 - 0.45, 0.3, -0.3),
+                _ => {
+                    let at = |step: f64| (i as f64 * step).fract() - 0.5;
+                    p.position = Vec3::new(at(0.618), 0.8 * at(0.755), 0.8 * at(0.57));
+                }
             }
             bad.push(i);
         }
