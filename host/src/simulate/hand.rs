@@ -114,7 +114,7 @@ pub struct HandOptions {
     pub spin_n_mm: f64,
     /// How much faster than 200 Hz.
     pub speed: f64,
-    /// Whether to keep what was true, for checks; takes 72 bytes per contact.
+    /// Whether to keep what was true, for checks; takes 64 bytes per contact.
     pub keep_truth: bool,
     /// Everything random follows from it.
     pub seed: u64,

@@ -11,8 +11,8 @@ use rand_chacha::ChaCha8Rng;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// Samples of the surface per waypoint to choose from. With 6, the largest empty disc is about 1.2 times the
-/// spacing; 20 would bring it to 1.05 for three times the planning time.
+/// Samples of the surface per waypoint to choose from. With 6, no place of the torus is further
+/// than 1.6 spacings from a waypoint (tested); more make planning slower in proportion.
 const CANDIDATES: usize = 6;
 
 /// Share of the area that discs of half the spacing cover in the end. Random sequential packing would reach

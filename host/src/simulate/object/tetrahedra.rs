@@ -77,8 +77,8 @@ pub(super) fn polygonize(solid: Solid, cell_mm: f64) -> TriangleMesh {
     mesh
 }
 
-/// Rounds of evening out. Cut tetrahedra leave slivers whose normals are off by 50 degrees and more; after 8
-/// rounds face normals on the torus are within 5 degrees of the surface's, and more rounds change little.
+/// Rounds of evening out. Cut tetrahedra leave slivers, and with them face normals that are off by 57 degrees
+/// (torus, 2 mm cells); after 8 rounds the tests below find none off by 15, with cells twice as large.
 const ROUNDS: usize = 8;
 
 /// Moves every vertex to the middle of its neighbours and back onto the surface.
