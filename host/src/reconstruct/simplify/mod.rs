@@ -168,7 +168,8 @@ pub enum SimplifyError {
 /// Simplifies `mesh`, which came out of the extraction, to the base mesh of the patch network.
 ///
 /// `cloud` holds the measured points, which Hoppe's energy measures distances to; `creases` the lines to
-/// keep; `project` the field behind the mesh, if it can be asked.
+/// keep; `project` the field behind the mesh, if it can be asked
+/// (not used where there are creases, which a field rounds off).
 /// Same input, same result, on every machine and with any number of threads.
 ///
 /// # Errors

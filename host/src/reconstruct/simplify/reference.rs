@@ -71,6 +71,8 @@ impl<'a> Reference<'a> {
             half.set_pinned(v, true);
         }
         pin_border_corners(&mut half);
+        // A field rounds creases off; beside them the mesh, cut along them, is the better surface.
+        let project = project.filter(|_| creases.edges.is_empty());
         let face_normals: Vec<Vec3> = (0..mesh.faces.len() as u32)
             .map(|f| mesh.face_normal(f))
             .collect();
