@@ -6,3 +6,4 @@ pub mod fault_line;
 pub mod kill;
 pub mod patches;
 pub mod python;
+pub mod program;

@@ -182,6 +182,15 @@ impl Board {
         chips::lock(&self.bench)
     }
 
+    /// Stops or continues the emulator: meanwhile the board's clock stands still and the host's goes on.
+    pub fn freeze(&self, on: bool) {
+        let signal = if on { "-STOP" } else { "-CONT" };
+        let _ = Command::new("kill")
+            .arg(signal)
+            .arg(self.child.id().to_string())
+            .status();
+    }
+
     /// The board's side of the host line; can be taken once, and must then always be read.
     pub fn take_host(&mut self) -> Option<UnixStream> {
         self.host.take()

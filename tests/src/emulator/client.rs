@@ -20,6 +20,7 @@ struct Received {
     messages: Mutex<Vec<BoardMessage>>,
     changed: Condvar,
     damaged: AtomicU32,
+    paused: AtomicBool,
 }
 
 /// A client with its reading thread.
@@ -46,6 +47,10 @@ impl Client {
             let mut decoder = Decoder::new();
             let mut bytes = [0_u8; 1024];
             while !stopped.load(Ordering::Relaxed) {
+                if kept.paused.load(Ordering::Relaxed) {
+                    std::thread::sleep(Duration::from_millis(10));
+                    continue;
+                }
                 let count = match reader.read(&mut bytes) {
                     Ok(count) => count,
                     Err(error)
@@ -93,6 +98,11 @@ impl Client {
     /// Frames that came damaged.
     pub fn damaged(&self) -> u32 {
         self.received.damaged.load(Ordering::Relaxed)
+    }
+
+    /// Stops or goes on reading, as a host does that is busy with other things.
+    pub fn pause(&self, on: bool) {
+        self.received.paused.store(on, Ordering::Relaxed);
     }
 
     /// Forgets what came.
@@ -198,6 +208,14 @@ impl Client {
                 _ => None,
             },
         )
+    }
+
+    /// Compares clocks once; the host's time is that of the caller.
+    pub fn time_sync(&mut self, host_send_us: u64) -> io::Result<TimeSyncAnswer> {
+        match self.request(Command::TimeSync(TimeSyncRequest { host_send_us }))? {
+            Outcome::Time(answer) => Ok(answer),
+            other => Err(io::Error::other(format!("{other:?}"))),
+        }
     }
 
     /// Starts the contact stream.

@@ -135,6 +135,47 @@ impl SlidingFinger {
         Calibration::sealed(id, 6, &rows).unwrap_or_else(|error| panic!("{error}"))
     }
 
+    /// A calibration that knows each gauge's main axis and nothing of the crosstalk.
+    pub fn naive_calibration(id: u32) -> Calibration {
+        let sensitivity = Self::sensitivity();
+        let entries: Vec<f32> = (0..36)
+            .map(|at| {
+                if at % 7 == 0 {
+                    (1.0 / sensitivity[(at / 7, at / 7)]) as f32
+                } else {
+                    0.0
+                }
+            })
+            .collect();
+        Calibration::sealed(id, 6, &entries).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// Known loads with the tared counts they give, as a table for `palpus board PORT calibrate`: weights hung on the tip in many
+    /// directions and at many places, each read with noise of this standard deviation.
+    pub fn load_table(&mut self, loads: usize, noise_counts: f64) -> String {
+        let mut table = String::from("fx,fy,fz,mx,my,mz,g1,g2,g3,g4,g5,g6\n");
+        for _ in 0..loads {
+            let mut random = |scale: f64| {
+                Vec3::new(self.next_random(), self.next_random(), self.next_random()) * scale
+            };
+            let (force, arm, spin) = (random(12.0), random(60.0), random(40.0));
+            let moment = arm.cross(&force) + spin;
+            let wrench = Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z);
+            let clean = Self::sensitivity() * wrench;
+            let cells: Vec<String> = wrench
+                .iter()
+                .map(|value| format!("{value:.6}"))
+                .chain(clean.iter().map(|count| {
+                    let normal: f64 = (0..12).map(|_| self.next_random()).sum();
+                    format!("{:.1}", count + normal * noise_counts)
+                }))
+                .collect();
+            table += &cells.join(",");
+            table.push('\n');
+        }
+        table
+    }
+
     /// The finger.
     pub const fn finger(&self) -> &Finger {
         &self.finger
