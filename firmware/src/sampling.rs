@@ -313,12 +313,13 @@ impl<G: GaugeFrontEnd, J: JointFrontEnd, S: CalibrationStore> Board<G, J, S> {
             .max(u32::try_from(took).unwrap_or(u32::MAX));
     }
 
-    /// Tells of gauges that went bad, of all being good again, and of chips found reset. A gauge
-    /// that stays bad is told once.
+    /// Tells of gauges that went bad, of all being good again, and of chips found reset. While a gauge stays bad, each
+    /// of its flags is told once.
     fn note_faults(&mut self, flags: &[GaugeFlags; MAX_GAUGES], now_us: u64) {
         let was_faulty = self.sampling.faulty.iter().any(|flags| !flags.is_good());
         for gauge in 0..self.sampling.gauges {
-            if !flags[gauge].is_good() && self.sampling.faulty[gauge].is_good() {
+            let told = self.sampling.faulty[gauge];
+            if !told.contains(flags[gauge]) {
                 self.note(
                     Event::GaugeFault {
                         gauge: gauge as u8,
@@ -327,7 +328,11 @@ impl<G: GaugeFrontEnd, J: JointFrontEnd, S: CalibrationStore> Board<G, J, S> {
                     now_us,
                 );
             }
-            self.sampling.faulty[gauge] = flags[gauge];
+            self.sampling.faulty[gauge] = if flags[gauge].is_good() {
+                GaugeFlags::none()
+            } else {
+                told.union(flags[gauge])
+            };
         }
         if was_faulty && self.sampling.faulty.iter().all(|flags| flags.is_good()) {
             self.note(Event::GaugesGood, now_us);

@@ -2,7 +2,7 @@
 
 use palpus_protocol::{
     BoardMessage, Command, Contact, Decoder, HostMessage, Identify, Identity, MAX_FRAME_BYTES,
-    Outcome, Request, Statistics, Streams,
+    Outcome, Request, Statistics, Streams, TimeSyncAnswer, TimeSyncRequest,
 };
 use serialport::TTYPort;
 use std::io::{self, ErrorKind, Read, Write};
