@@ -5,6 +5,7 @@
 //! shows as flags in a sample instead of as a hung board.
 
 pub mod ads122u04;
+pub mod ads131m08;
 pub mod amt21;
 pub mod serial;
 

@@ -103,7 +103,7 @@ impl Board {
             "converter2",
         ];
         let mut listeners = Vec::new();
-        let mut command = emulator();
+        let mut command = command();
         command.args([
             "-M",
             "olimex-stm32-h405",
@@ -204,7 +204,7 @@ impl Board {
 
 /// The emulator's command, with real-time priority where the system allows it: its chips answer over sockets, and on a
 /// machine that is busy with other things their answers would come later than any chip's.
-fn emulator() -> Command {
+pub fn command() -> Command {
     const EMULATOR: &str = "qemu-system-arm";
     let allowed = Command::new("chrt")
         .args(["--rr", "1", "true"])

@@ -22,7 +22,7 @@ mod host_line;
 pub mod log;
 pub mod sliding;
 
-pub use board::{Board, BoardError};
+pub use board::{Board, BoardError, command};
 pub use chips::{Bench, World};
 pub use client::Client;
 pub use host_line::HostLine;

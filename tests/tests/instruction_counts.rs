@@ -1,0 +1,84 @@
+//! What a tick costs, in instructions, counted by the emulator: the same number in every run, so a benchmark that can fail.
+
+use palpus_tests::emulator::{Board, command};
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader};
+use std::process::Stdio;
+
+/// SysTicks of the emulated core (168 MHz) to instructions at 1 ns each.
+fn instructions(systicks: f64) -> f64 {
+    systicks * 1e9 / 168e6
+}
+
+/// Mean and largest instructions per part.
+fn count() -> BTreeMap<String, (f64, f64)> {
+    let image = Board::image().with_file_name("palpus-tick-cost");
+    assert!(
+        image.is_file(),
+        "{} is missing: run firmware/build first",
+        image.display()
+    );
+    let mut child = command()
+        .args([
+            "-M",
+            "olimex-stm32-h405",
+            "-display",
+            "none",
+            "-monitor",
+            "none",
+            "-serial",
+            "stdio",
+        ])
+        .args(["-icount", "shift=0,sleep=off", "-kernel"])
+        .arg(&image)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("qemu-system-arm: run tests/setup first");
+    let output = BufReader::new(child.stdout.take().expect("its output"));
+    let mut counts = BTreeMap::new();
+    for line in output.lines() {
+        let line = line.expect("text");
+        let fields: Vec<&str> = line.split_whitespace().collect();
+        let [name, mean, largest] = fields[..] else {
+            panic!("{line}")
+        };
+        if name == "end" {
+            break;
+        }
+        let number = |text: &str| text.parse::<f64>().unwrap_or_else(|_| panic!("{line}"));
+        counts.insert(
+            name.to_owned(),
+            (
+                instructions(number(mean) / 100.0),
+                instructions(number(largest)),
+            ),
+        );
+    }
+    child.kill().expect("the emulator ends");
+    child.wait().expect("the emulator ends");
+    counts
+}
+
+#[test]
+fn a_tick_stays_within_its_instructions() {
+    let counts = count();
+    // What measuring itself costs is part of each figure.
+    for (name, (mean, largest)) in &counts {
+        println!("{name}: {mean:.0} instructions, {largest:.0} at most");
+    }
+    let largest = |name: &str| counts[name].1;
+    assert!(largest("solve") < 2_000.0);
+    // A whole tick with the chips' drivers, their interrupts' work and the frame's way out.
+    let serial = largest("read_serial") + largest("board_tick") + largest("take_frame");
+    assert!(serial < 30_000.0, "{serial}");
+    // 1 kHz with the SPI converter: a tenth of the 168 000 cycles of a period, at one and a half cycles an instruction.
+    let spi = largest("read_spi") + largest("board_tick") + largest("take_frame");
+    assert!(spi * 1.5 < 16_800.0, "{spi}");
+    assert!(
+        counts["valid"].0 > instructions(3.0),
+        "the counted contacts are not valid ones"
+    );
+    // Nothing depends on the machine.
+    assert_eq!(counts, count());
+}
