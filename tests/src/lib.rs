@@ -5,5 +5,5 @@ pub mod emulator;
 pub mod fault_line;
 pub mod kill;
 pub mod patches;
-pub mod python;
 pub mod program;
+pub mod python;

@@ -92,7 +92,9 @@ fn frames(run: &Path) -> Vec<Contact> {
 }
 
 #[test]
-fn a_finger_on_a_ball_from_the_chips_to_the_surface() {
+fn emulated_finger_on_a_ball_from_the_chips_to_the_surface() {
+    // Building takes long on a busy machine; before the board is there.
+    program::palpus();
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
     let hand_path = hand_file().to_string_lossy().into_owned();

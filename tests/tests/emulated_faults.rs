@@ -126,7 +126,7 @@ impl Rig {
 }
 
 #[test]
-fn each_fault_is_detected_told_and_survived() {
+fn emulated_faults_are_each_detected_told_and_survived() {
     let mut rig = Rig::start();
 
     rig.world().faults[2] = GaugeFault::Saturated;

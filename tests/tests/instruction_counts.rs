@@ -61,7 +61,7 @@ fn count() -> BTreeMap<String, (f64, f64)> {
 }
 
 #[test]
-fn a_tick_stays_within_its_instructions() {
+fn emulated_tick_stays_within_its_instructions() {
     let counts = count();
     // What measuring itself costs is part of each figure.
     for (name, (mean, largest)) in &counts {

@@ -15,6 +15,9 @@ use std::time::{Duration, Instant};
 const TRIES: u32 = 10;
 const PATIENCE: Duration = Duration::from_secs(2);
 
+/// Ids of requests go on from client to client: a board does not act twice on an id that it remembers.
+static NEXT_ID: AtomicU32 = AtomicU32::new(1_000);
+
 #[derive(Default)]
 struct Received {
     messages: Mutex<Vec<BoardMessage>>,
@@ -29,7 +32,6 @@ pub struct Client {
     received: Arc<Received>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
-    next_id: u32,
 }
 
 impl Client {
@@ -81,7 +83,6 @@ impl Client {
             received,
             stop,
             thread: Some(thread),
-            next_id: 1_000,
         })
     }
 
@@ -227,8 +228,7 @@ impl Client {
     }
 
     fn id(&mut self) -> u32 {
-        self.next_id += 1;
-        self.next_id
+        NEXT_ID.fetch_add(1, Ordering::Relaxed)
     }
 }
 
