@@ -57,9 +57,14 @@ impl Facts<'_> {
         if let Some(error) = self.error() {
             let tolerance = escaped(&self.length(error.tolerance));
             if error.met {
+                let which = if error.outliers > 0 {
+                    "Every point not taken for a false contact"
+                } else {
+                    "Every point"
+                };
                 let _ = write!(
                     out,
-                    " <strong class=\"good\">Every point lies within the tolerance of {tolerance}.</strong>"
+                    " <strong class=\"good\">{which} lies within the tolerance of {tolerance}.</strong>"
                 );
             } else {
                 let _ = write!(
@@ -68,7 +73,7 @@ impl Facts<'_> {
                 );
             }
             if let Some(reason) = &error.reason {
-                let _ = write!(out, " {}.", escaped(reason.trim_end_matches('.')));
+                let _ = write!(out, " ({})", escaped(reason.trim_end_matches('.')));
             }
         }
         if self.measures.folded_patches > 0 {
