@@ -233,7 +233,7 @@ fn run(
         tolerance,
         noise_sigma: noise.position_sigma,
         max_patches: options.max_patches,
-        max_levels: 12,
+        max_levels: 8,
     };
     let base = Base {
         vertices: simplified.mesh.positions.clone(),

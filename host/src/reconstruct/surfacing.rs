@@ -110,6 +110,10 @@ pub fn refine(
     mut progress: impl FnMut(usize, usize),
 ) -> Result<(Fitted, usize, RefineEnd), SurfacingError> {
     let mut data = data.to_vec();
+    let level_fit = FitOptions {
+        rounds: options.fit.rounds.clamp(1, LEVEL_ROUNDS),
+        ..options.fit
+    };
     let mut current = fitted;
     let mut best: Option<(f64, Fitted, usize)> = None;
     let mut levels = 0;
@@ -149,7 +153,7 @@ pub fn refine(
         for datum in data.iter_mut().filter(|d| d.kind == Kind::Field) {
             datum.weight = (datum.weight * FIELD_FADES).max(LEAST_FIELD_WEIGHT);
         }
-        current = fit_base(next, &data, &options.fit)?;
+        current = fit_base(next, &data, &level_fit)?;
         levels += 1;
         progress(levels, faces);
     };
@@ -159,6 +163,8 @@ pub fn refine(
     }
 }
 
+/// Rounds of a level: it starts from well-placed vertices, so the fourth round changes little.
+const LEVEL_ROUNDS: usize = 3;
 /// From level to level the samples of the extracted surface count less, down to a hundredth: they hold what has
 /// no data, while the measured points decide where refinement goes on.
 const FIELD_FADES: f64 = 0.3;
@@ -166,7 +172,7 @@ const LEAST_FIELD_WEIGHT: f64 = 0.01;
 
 /// Levels that may pass without coming closer before refinement gives up: one bad triangle can spoil a level
 /// and be mended in the next.
-const PATIENCE: usize = 2;
+const PATIENCE: usize = 1;
 
 /// The base mesh of the next level.
 fn next_base(

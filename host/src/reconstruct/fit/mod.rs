@@ -31,7 +31,7 @@ const TANGENTIAL: f64 = 0.02;
 const PARAMETER_SMOOTHING: f64 = 1e-5;
 /// Patches that fold all the same get up to this, in so many attempts.
 const MAX_STIFFNESS: f64 = 1e-2;
-const UNFOLD_ROUNDS: usize = 3;
+const UNFOLD_ROUNDS: usize = 2;
 /// Distance, relative to the size of the data, that counts as much as two normals at 60 degrees when foot
 /// points are searched: more than any wall is thick, less than the object.
 const NORMAL_SCALE: f64 = 0.15;
@@ -279,13 +279,11 @@ impl Fitting<'_> {
             stiffer.sort_unstable();
             stiffer.dedup();
             for face in stiffer {
-                self.stiffness[face] = (self.stiffness[face] * 20.0).min(MAX_STIFFNESS);
+                self.stiffness[face] = (self.stiffness[face] * 50.0).min(MAX_STIFFNESS);
             }
             let before = (self.points.clone(), self.feet.clone());
-            for _ in 0..2 {
-                let next = self.round(false)?;
-                self.take(next);
-            }
+            let next = self.round(false)?;
+            self.take(next);
             let now = self.folded();
             if now.len() > folded.len() {
                 (self.points, self.feet) = before;
