@@ -44,8 +44,21 @@ fn main() -> ExitCode {
     match outcome {
         Ok(exit) => exit.into(),
         Err(failure) => {
-            eprintln!("palpus: {:#}", failure.error);
+            eprintln!("palpus: {}", said_once(&failure.error));
             failure.exit.into()
         }
     }
+}
+
+/// The error and its causes, without those that the message before them already quotes.
+fn said_once(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if text.is_empty() {
+            text = cause;
+        } else if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+    }
+    text
 }

@@ -4,6 +4,7 @@ pub mod bench_board;
 pub mod emulator;
 pub mod fault_line;
 pub mod kill;
+pub mod outcome;
 pub mod patches;
 pub mod program;
 pub mod python;

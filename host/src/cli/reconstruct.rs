@@ -4,16 +4,20 @@ use super::{Common, Exit, Failure};
 use anyhow::{Context, anyhow};
 use palpus_host::cloud::{self, Cloud};
 use palpus_host::export::surface_file::Provenance;
-use palpus_host::export::{Origin, SurfaceFile, sampled_from_mesh, step, write_bytes, write_mesh};
+use palpus_host::export::{
+    MeshFormat, Origin, SurfaceFile, sampled_from_mesh, step, write_bytes, write_mesh,
+};
 use palpus_host::picture::{FigureOptions, Stages, View};
 use palpus_host::reconstruct::creases::CreaseOptions;
 use palpus_host::reconstruct::extract;
 use palpus_host::reconstruct::fit::NormalTerm;
-use palpus_host::reconstruct::{Options, Progress, Reconstruction, Stage, reconstruct};
+use palpus_host::reconstruct::{
+    Options, Progress, ReconstructError, Reconstruction, Stage, reconstruct,
+};
 use palpus_host::run::points::points;
 use palpus_host::spline::SampledSurface;
 use std::fs::File;
-use std::io::{IsTerminal, Read};
+use std::io::{IsTerminal, Read, Write as _};
 use std::path::PathBuf;
 
 /// Reconstruct a surface from points with normals.
@@ -120,6 +124,7 @@ enum StopAfter {
 
 /// Runs the command.
 pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
+    check_outputs(args)?;
     let cloud = read(&args.input)?;
     let options = Options {
         tolerance: args.tolerance,
@@ -149,14 +154,6 @@ pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
         creases: (!args.no_creases).then(CreaseOptions::default),
         ..Options::default()
     };
-    if args.output.is_some() && options.stop_after < Stage::Fit {
-        return Err(Failure::new(
-            Exit::Usage,
-            anyhow!(
-                "--stop-after extract and simplify end before there is a surface, so -o has nothing to write; leave it out and use --mesh for the triangles of that stage"
-            ),
-        ));
-    }
     let show = common.verbose > 0 || std::io::stderr().is_terminal();
     let result = reconstruct(&cloud, &options, &|progress| {
         if show {
@@ -168,19 +165,52 @@ pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
             }
         }
     })
-    .map_err(|e| Failure::new(Exit::Input, e))?;
+    .map_err(|e| Failure::new(exit_of(&e), e))?;
     write(args, &cloud, &result)?;
-    if common.json {
-        print!("{}", result.report.to_json());
+    let text = if common.json {
+        result.report.to_json()
     } else {
-        print!("{}", super::table::report(&result.report));
-    }
+        super::table::report(&result.report)
+    };
+    // A reader that has gone away (a closed pipe) is no fault of the reconstruction.
+    let _ = std::io::stdout().write_all(text.as_bytes());
     let met = result.report.error.as_ref().is_none_or(|e| e.met);
     Ok(if args.strict && !met {
         Exit::Tolerance
     } else {
         Exit::Done
     })
+}
+
+/// Which code a failed reconstruction leaves with.
+fn exit_of(error: &ReconstructError) -> Exit {
+    match error {
+        ReconstructError::BadOption { .. } | ReconstructError::Threads(_) => Exit::Usage,
+        _ => Exit::Input,
+    }
+}
+
+/// Refuses, before any work is done, what could not be written after it.
+fn check_outputs(args: &Args) -> Result<(), Failure> {
+    let usage = |e: anyhow::Error| Err(Failure::new(Exit::Usage, e));
+    if matches!(
+        args.stop_after,
+        Some(StopAfter::Extract | StopAfter::Simplify)
+    ) && (args.output.is_some() || args.step.is_some())
+    {
+        return usage(anyhow!(
+            "--stop-after extract and simplify end before there is a surface, so -o and --step have nothing to write; leave them out and use --mesh for the triangles of that stage"
+        ));
+    }
+    if let Some(step) = args.mesh_step.filter(|s| !(s.is_finite() && *s > 0.0)) {
+        return usage(anyhow!("--mesh-step {step}: a number above 0 is needed"));
+    }
+    for path in &args.mesh {
+        if let Err(error) = MeshFormat::of(path) {
+            return usage(error.into());
+        }
+    }
+    Ok(())
 }
 
 /// First bytes of a run.
