@@ -155,6 +155,8 @@ pub fn reconstruct(
     pool.install(|| run(cloud, options, progress))
 }
 
+/// Accuracy, relative to the size, beyond which the base mesh is made no finer.
+const LEAST_ACCURACY: f64 = 3e-4;
 /// Weight of the samples of the extracted surface relative to a measured point. The field carries the
 /// smoothing across gaps; below 0.1 starved patches lean out, above 1 the measured points are no longer heard
 /// (torus, bean, two-holed torus, mug).
@@ -400,20 +402,32 @@ fn simplify_mesh(
     tolerance: f64,
 ) -> Result<Simplified, SimplifyError> {
     let mut simplify_options = options.simplify.clone();
-    simplify_options.accuracy.get_or_insert(tolerance);
+    // Finer than this is left to the refinement, which looks where it is needed.
+    let finest = LEAST_ACCURACY.max(extracted.noise.position_sigma);
+    simplify_options
+        .accuracy
+        .get_or_insert(tolerance.max(finest));
     let field = &extracted.field;
     let project = |x: &Vec3| {
         let foot = field.project(x)?;
         let normal = field.gradient(&foot).try_normalize(1e-12)?;
         Some((foot, normal))
     };
-    simplify::simplify(
-        &creased.mesh,
-        inner,
-        &creased.lines,
-        &simplify_options,
-        Some(&project),
-    )
+    let simplify = |options: &simplify::Options| {
+        simplify::simplify(
+            &creased.mesh,
+            inner,
+            &creased.lines,
+            options,
+            Some(&project),
+        )
+    };
+    let simplified = simplify(&simplify_options)?;
+    if simplified.mesh.faces.len() <= options.max_patches {
+        return Ok(simplified);
+    }
+    simplify_options.target_faces = Some(options.max_patches);
+    simplify(&simplify_options)
 }
 
 /// Measured inliers, samples of the extracted surface and of its border, with the number of the input point
