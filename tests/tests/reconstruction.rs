@@ -173,16 +173,18 @@ fn the_result_scales_with_the_points() {
     let folder = tempdir().unwrap();
     make_points(folder.path(), "torus", CLEAN);
     let cloud = palpus_host::cloud::read(&folder.path().join("p.ply")).unwrap();
-    let rows: String = cloud
-        .points
-        .iter()
-        .map(|point| {
-            let (p, n) = (point.position * 1024.0, point.normal);
-            format!("{} {} {} {} {} {}\n", p.x, p.y, p.z, n.x, n.y, n.z)
-        })
-        .collect();
-    fs::write(folder.path().join("large.xyz"), rows).unwrap();
-    let [near, far] = ["p.ply", "large.xyz"].map(|input| {
+    for (name, scale) in [("unit.xyz", 1.0), ("large.xyz", 1024.0)] {
+        let rows: String = cloud
+            .points
+            .iter()
+            .map(|point| {
+                let (p, n) = (point.position * scale, point.normal);
+                format!("{} {} {} {} {} {}\n", p.x, p.y, p.z, n.x, n.y, n.z)
+            })
+            .collect();
+        fs::write(folder.path().join(name), rows).unwrap();
+    }
+    let [near, far] = ["unit.xyz", "large.xyz"].map(|input| {
         let stdout = run(folder.path(), &format!("reconstruct {input} --json"));
         let report: Value = serde_json::from_str(&stdout).unwrap();
         assert_eq!(report["surface"]["genus"], 1);
