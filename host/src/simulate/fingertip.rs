@@ -161,11 +161,11 @@ mod tests {
         let (force, about) = wrench_at_sensor(index, &moment, &rubbing, 0);
         // Pushed back along -z by 2 N; the tip slides along the world's +y, so friction drags it along the world's
         // -y, the sensor's +y, by 1 N on a lever of 35 mm along z: (0, 0, 35) x (0, 1, -2) = (-35, 0, 0).
+        assert!((force - Vec3::new(0.0, 1.0, -2.0)).norm() < 1e-9, "{force}");
         assert!(
-            (force - Vec3::new(0.0, 1.0, -2.0)).norm() < 1e-9,
-            "{force}"
+            (about - Vec3::new(-35.0, 0.0, 0.0)).norm() < 1e-9,
+            "{about}"
         );
-        assert!((about - Vec3::new(-35.0, 0.0, 0.0)).norm() < 1e-9, "{about}");
 
         let spinning = Rubbing {
             friction: 0.0,
