@@ -296,12 +296,16 @@ fn notes(extracted: &Extracted, frame: &Frame) -> Vec<String> {
         .iter()
         .map(|hole| {
             let place = frame.leave(hole.place);
+            let depth = if hole.depth.is_finite() {
+                format!("up to {:.3} from any contact", hole.depth * frame.scale)
+            } else {
+                "faced by no contact".to_owned()
+            };
             format!(
-                "gap near ({:.4}, {:.4}, {:.4}), up to {:.3} from any contact, {:.1} % of the touched area: {}",
+                "gap near ({:.4}, {:.4}, {:.4}), {depth}, {:.1} % of the touched area: {}",
                 place.x,
                 place.y,
                 place.z,
-                hole.depth * frame.scale,
                 100.0 * hole.area_share,
                 if hole.closed {
                     "closed by the field"
