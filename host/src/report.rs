@@ -141,6 +141,12 @@ pub struct SurfaceFigures {
     pub min_jacobian: f64,
     /// Patches whose normal turns over, measured.
     pub folded_patches: usize,
+    /// Largest jump of the mean curvature across smooth edges (and a chart's knot lines), 1 / length, measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub curvature_jump_max: Option<f64>,
+    /// Root of its mean square.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub curvature_jump_rms: Option<f64>,
 }
 
 impl SurfaceFigures {
@@ -160,6 +166,8 @@ impl SurfaceFigures {
             g1_max_degrees: measures.g1_max_degrees,
             min_jacobian: measures.min_jacobian,
             folded_patches: measures.folded_patches,
+            curvature_jump_max: Some(measures.curvature_jump_max),
+            curvature_jump_rms: Some(measures.curvature_jump_rms),
         }
     }
 }

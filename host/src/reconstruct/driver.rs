@@ -1,5 +1,7 @@
 //! The driver: runs the four phases one after the other and says what each did.
 
+use super::chart::phases::{Prepared, chart_phases};
+use super::chart::{ChartFitError, ChartOptions};
 use super::creases::{self, CreaseOptions, Creased};
 use super::extract::{self, ExtractError, Extracted};
 use super::fit::foot::Foot;
@@ -16,6 +18,7 @@ use crate::mesh::TriangleMesh;
 use crate::report::{
     ErrorFigures, InputFigures, NormalFigures, PhaseFigures, Report, SurfaceFigures,
 };
+use crate::spline::chart::Chart;
 use crate::spline::edges::EdgeTable;
 use crate::spline::{Surface, SurfaceError};
 use std::time::Instant;
@@ -56,6 +59,8 @@ pub struct Options {
     pub creases: Option<CreaseOptions>,
     /// Phase 2. Its accuracy, where it is not set, follows from tolerance and noise.
     pub simplify: simplify::Options,
+    /// Degree (2 to 5) of the one chart that is made instead of a network; `None` makes a network.
+    pub chart: Option<usize>,
     /// Threads; without it all cores. The result does not depend on it.
     pub threads: Option<usize>,
 }
@@ -72,6 +77,7 @@ impl Default for Options {
             extract: extract::Options::default(),
             creases: Some(CreaseOptions::default()),
             simplify: simplify::Options::default(),
+            chart: None,
             threads: None,
         }
     }
@@ -104,6 +110,9 @@ pub enum ReconstructError {
     /// Phase 3 or 4 failed.
     #[error("fit: {0}")]
     Surfacing(#[from] SurfacingError),
+    /// No chart could be made.
+    #[error("chart: {0}")]
+    Chart(#[from] ChartFitError),
     /// The result is no valid surface.
     #[error("result: {0}")]
     Surface(#[from] SurfaceError),
@@ -123,6 +132,8 @@ pub struct Reconstruction {
     pub fitted: Option<Surface>,
     /// The last surface made: after phase 4, or phase 3 if stopped there.
     pub surface: Option<Surface>,
+    /// The chart, where one was asked for; `fitted` and `surface` are then absent.
+    pub chart: Option<Chart>,
     /// Distance of each usable row of the input to the surface; NaN where there is none (outliers).
     pub distances: Vec<f64>,
     /// Everything in figures.
@@ -237,6 +248,32 @@ fn run(
         max_patches: options.max_patches,
         max_levels: 8,
     };
+    if let Some(degree) = options.chart {
+        let prepared = Prepared {
+            frame: &frame,
+            extracted: &extracted,
+            mesh: &creased.mesh,
+            data: &data,
+            numbers: &numbers,
+            tolerance,
+            tolerance_from,
+            stop_after: options.stop_after,
+        };
+        let chart_options = ChartOptions {
+            degree,
+            rounds: options.rounds,
+            smoothing: surfacing.fit.smoothing,
+            tolerance,
+            noise_sigma: noise.position_sigma,
+            outlier_scale: surfacing.fit.outlier_scale,
+            triangles: simplified.mesh.faces.len(),
+            max_triangles: options.max_patches,
+            max_levels: surfacing.max_levels,
+        };
+        chart_phases(&mut out, &prepared, &chart_options, progress)?;
+        out.report.seconds = begin.elapsed().as_secs_f64();
+        return Ok(out);
+    }
     let base = Base {
         vertices: simplified.mesh.positions.clone(),
         faces: simplified.mesh.faces.clone(),
@@ -343,6 +380,13 @@ fn check(options: &Options) -> Result<(), ReconstructError> {
             range: "0 or above",
         });
     }
+    if let Some(degree) = options.chart.filter(|n| !(2..=5).contains(n)) {
+        return Err(ReconstructError::BadOption {
+            name: "degree",
+            value: degree as f64,
+            range: "2 to 5",
+        });
+    }
     if options.rounds == 0 || options.max_patches == 0 {
         return Err(ReconstructError::BadOption {
             name: if options.rounds == 0 {
@@ -378,7 +422,9 @@ fn find_creases(
     extracted: &Extracted,
     options: &Options,
 ) -> Result<Creased, SimplifyError> {
-    let Some(creases) = &options.creases else {
+    // A chart is smooth everywhere.
+    let wanted = options.creases.as_ref().filter(|_| options.chart.is_none());
+    let Some(creases) = wanted else {
         return Ok(Creased {
             mesh: extracted.mesh.clone(),
             ..Creased::default()
@@ -595,7 +641,7 @@ fn phase_with_errors(
 }
 
 /// Sums over distances.
-fn figures(distances: impl Iterator<Item = f64>) -> ErrorFigures {
+pub(super) fn figures(distances: impl Iterator<Item = f64>) -> ErrorFigures {
     let mut out = ErrorFigures::default();
     let mut count = 0usize;
     for distance in distances {
@@ -654,7 +700,7 @@ fn finish(
 }
 
 /// Says whether the tolerance is met, and if not, why.
-fn judge(
+pub(super) fn judge(
     report: &mut Report,
     tolerance: f64,
     from: &str,

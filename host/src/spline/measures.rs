@@ -17,6 +17,10 @@ pub struct Measures {
     pub min_jacobian: f64,
     /// Samples whose normal turns more than 90 degrees away from the patch's mean normal: fold-over.
     pub folded_patches: usize,
+    /// Largest jump of the mean curvature across smooth edges, 1 / length, at the places between their ends.
+    pub curvature_jump_max: f64,
+    /// Root of its mean square.
+    pub curvature_jump_rms: f64,
     /// Topology of the network.
     pub topology: Topology,
 }
@@ -101,11 +105,14 @@ impl Surface {
         let table = self.check()?;
         let (g1_max_degrees, g1_worst_edge) = self.continuity(&table);
         let (min_jacobian, folded_patches) = self.regularity();
+        let [curvature_jump_max, curvature_jump_rms] = self.curvature_jump(&table);
         Ok(Measures {
             g1_max_degrees,
             g1_worst_edge,
             min_jacobian,
             folded_patches,
+            curvature_jump_max,
+            curvature_jump_rms,
             topology: Topology::new(self.vertices.len(), &self.faces, &table),
         })
     }
@@ -148,6 +155,31 @@ impl Surface {
             }
         }
         worst
+    }
+
+    /// Largest jump of the mean curvature across smooth edges, and the root of its mean square.
+    fn curvature_jump(&self, table: &EdgeTable) -> [f64; 2] {
+        let creases: std::collections::BTreeSet<_> = self.creases.iter().copied().collect();
+        let (mut worst, mut square, mut count) = (0.0_f64, 0.0, 0usize);
+        for edge in table.edges.iter().filter(|e| !creases.contains(&e.vertices)) {
+            let Some(sides) = edge.both() else { continue };
+            for place in 1..PLACES - 1 {
+                let t = place as f64 / (PLACES - 1) as f64;
+                let [p, q] = [(sides[0], t), (sides[1], 1.0 - t)].map(|(side, t)| {
+                    let mut at = [0.0; 3];
+                    at[usize::from(side.local)] = 1.0 - t;
+                    at[(usize::from(side.local) + 1) % 3] = t;
+                    self.curvature(side.face as usize, at)
+                });
+                if let (Some(p), Some(q)) = (p, q) {
+                    let jump = (p[0] - q[0]).abs();
+                    worst = worst.max(jump);
+                    square += jump * jump;
+                    count += 1;
+                }
+            }
+        }
+        [worst, (square / count.max(1) as f64).sqrt()]
     }
 
     /// Smallest area element relative to its patch's mean, and how many patches fold.

@@ -1,8 +1,10 @@
 //! Splines over triangles: mathematics only; knows no file, no cloud and no serial line.
 
 pub mod bernstein;
+pub mod chart;
 pub mod edges;
 pub mod energy;
+pub mod local_shape;
 mod measures;
 pub mod network;
 mod sampling;

@@ -5,6 +5,8 @@
 //! All N together are a partition of unity over the region that no missing neighbour's knots reach: give the
 //! triangulation a ring of extra triangles, or pull the border's clouds together on their vertices.
 
+use std::collections::BTreeMap;
+
 use super::orientation::{Approach, side_of_line};
 use super::program::{Jet, Program, Scratch};
 use super::{MAX_DEGREE, SimplexError, Vec2, exponent_count, exponents};
@@ -139,6 +141,11 @@ impl KnotNet {
         &self.triangles
     }
 
+    /// Number of vertices.
+    pub fn vertices(&self) -> usize {
+        self.knots.len() / (self.degree + 1)
+    }
+
     /// Knots of a vertex, itself first; empty if there is no such vertex.
     pub fn cloud(&self, vertex: usize) -> &[Vec2] {
         let size = self.degree + 1;
@@ -171,6 +178,34 @@ impl KnotNet {
                     .collect()
             })
             .collect()
+    }
+
+    /// A number for each basis function, the same for those of neighbours whose blossom arguments agree: one per
+    /// vertex, n - 1 per edge, (n - 1)(n - 2) / 2 per triangle. Control points shared by this numbering still give every
+    /// polynomial of degree n. Returns the numbers in the order of the basis functions and how many there are.
+    pub fn shared_numbers(&self) -> (Vec<u32>, usize) {
+        let mut known = BTreeMap::new();
+        let numbers = self
+            .triangles
+            .iter()
+            .flat_map(|corners| {
+                exponents(self.degree).map(move |beta| {
+                    let mut key = [0, 1, 2].map(|k| (corners[k], beta[k]));
+                    for part in &mut key {
+                        if part.1 == 0 {
+                            part.0 = u32::MAX;
+                        }
+                    }
+                    key.sort_unstable();
+                    key
+                })
+            })
+            .map(|key| {
+                let next = known.len() as u32;
+                *known.entry(key).or_insert(next)
+            })
+            .collect();
+        (numbers, known.len())
     }
 
     /// Where the control points of the identity lie: the mean of each set of blossom arguments, in the order of

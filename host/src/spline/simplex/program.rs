@@ -35,6 +35,8 @@ pub struct Jet<T> {
 /// Steps to evaluate the simplex splines of all basis functions of one triangle.
 #[derive(Clone, Debug)]
 pub(super) struct Program {
+    /// Convex hull of all knots, counter-clockwise; everything is zero outside.
+    hull: Vec<Vec2>,
     /// Pairs of knots that span a line some constant piece or triple is bounded by.
     lines: Vec<[u8; 2]>,
     /// Constant pieces: values 1 to their number.
@@ -112,6 +114,7 @@ impl Program {
             }
         }
         let mut program = Self {
+            hull: convex_hull(&knots),
             lines: Vec::new(),
             triangles: Vec::new(),
             triples: Vec::new(),
@@ -301,6 +304,9 @@ impl Program {
         approach: Approach,
         scratch: &mut Scratch,
     ) -> bool {
+        if self.is_beyond(u) {
+            return false;
+        }
         scratch.placements.clear();
         scratch.placements.extend(
             self.lines
@@ -320,6 +326,17 @@ impl Program {
         any
     }
 
+    /// Whether `u` lies outside of the hull by more than rounding can make of it. Two thirds of the triangles whose
+    /// box holds a point are passed over here.
+    fn is_beyond(&self, u: Vec2) -> bool {
+        (0..self.hull.len()).any(|corner| {
+            let from = self.hull[corner] - u;
+            let to = self.hull[(corner + 1) % self.hull.len()] - u;
+            let (left, right) = (from.x * to.y, from.y * to.x);
+            left - right < -1e-14 * (left.abs() + right.abs())
+        })
+    }
+
     fn coordinates(&self, scratch: &mut Scratch) {
         scratch.coordinates.clear();
         scratch
@@ -329,6 +346,31 @@ impl Program {
                     .map(|i| scratch.placements[usize::from(triple.lines[i])].0 * triple.scales[i])
             }));
     }
+}
+
+/// Corners of the convex hull, counter-clockwise (Andrew's monotone chain).
+fn convex_hull(knots: &[Vec2]) -> Vec<Vec2> {
+    let mut sorted = knots.to_vec();
+    sorted.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    sorted.dedup();
+    let mut hull: Vec<Vec2> = Vec::new();
+    for _ in 0..2 {
+        let first = hull.len();
+        for knot in &sorted {
+            while hull.len() > first + 1 {
+                let [a, b] = [hull[hull.len() - 2], hull[hull.len() - 1]];
+                if twice_area(a, b, *knot) > 0.0 {
+                    break;
+                }
+                hull.pop();
+            }
+            hull.push(*knot);
+        }
+        // The end of one half is the start of the other.
+        hull.pop();
+        sorted.reverse();
+    }
+    hull
 }
 
 /// The triple W of a set of knots: the last knot of each cloud if they span enough, else the widest; `None` if

@@ -119,6 +119,17 @@ impl<T: Blend> TriangularBSpline<T> {
         sum
     }
 
+    /// Jets at many points, in parallel; the same bits for any number of threads.
+    pub fn jets(&self, points: &[Vec2]) -> Vec<Option<Jet<T>>>
+    where
+        T: Send + Sync,
+    {
+        points
+            .par_iter()
+            .map_init(Workspace::default, |workspace, u| self.jet(*u, workspace))
+            .collect()
+    }
+
     /// Derivative of any order along `direction`, on knot lines exact from the side of `approach`.
     pub fn directional(
         &self,

@@ -1,0 +1,172 @@
+//! Triangles of a chart for viewers and printers, up to the border of its region.
+
+use super::super::sampling::{MAX_SEGMENTS, SampledSurface};
+use super::super::simplex::{Vec2, Workspace};
+use super::partition::{Partition, quality};
+use super::pieces::compact;
+use super::{Chart, inside, nearest_on_border};
+use crate::Vec3;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Vertices of the grid this near to the border (in grid steps) are moved onto it, so that no slivers arise.
+const ONTO_BORDER: f64 = 0.3;
+
+impl Chart {
+    /// Samples every triangle of the net as `segments`^2 triangles, cut along the border of the region. Normals are
+    /// exact.
+    pub fn sample_per_patch(&self, segments: usize) -> SampledSurface {
+        let segments = segments.clamp(1, MAX_SEGMENTS);
+        let (points, triangles, patches) = self.grid(segments);
+        let evaluated: Vec<(Vec3, Vec3)> = points
+            .par_iter()
+            .map_init(Workspace::default, |workspace, u| {
+                let jet = self.jet(*u, workspace);
+                jet.map_or((Vec3::zeros(), Vec3::z()), |jet| {
+                    let [du, dv] = jet.gradient;
+                    let normal = du.cross(&dv).try_normalize(0.0);
+                    (jet.value, normal.unwrap_or_else(Vec3::z))
+                })
+            })
+            .collect();
+        let mut place: Vec<(u32, [f64; 3])> = vec![(0, [0.0; 3]); points.len()];
+        for (triangle, patch) in triangles.iter().zip(&patches) {
+            let [a, b, c] = self.corners(*patch as usize);
+            let area = (b - a).perp(&(c - a));
+            for v in triangle {
+                let u = points[*v as usize];
+                let at = [
+                    (b - u).perp(&(c - u)) / area,
+                    (c - u).perp(&(a - u)) / area,
+                    (a - u).perp(&(b - u)) / area,
+                ];
+                place[*v as usize] = (*patch, at);
+            }
+        }
+        let sigma = if self.sigma().is_empty() {
+            Vec::new()
+        } else {
+            let net = self.spline().net();
+            place
+                .iter()
+                .map(|(triangle, at)| {
+                    let corners = net.triangles()[*triangle as usize];
+                    (0..3)
+                        .map(|k| at[k].max(0.0) * self.sigma()[corners[k] as usize])
+                        .sum()
+                })
+                .collect()
+        };
+        SampledSurface {
+            positions: evaluated.iter().map(|e| e.0).collect(),
+            normals: evaluated.iter().map(|e| e.1).collect(),
+            sigma,
+            triangles,
+            patches,
+            parameters: place,
+        }
+    }
+
+    /// Samples with triangles whose edges are about `step` long, in the unit of the surface.
+    pub fn sample(&self, step: f64) -> SampledSurface {
+        let mut workspace = Workspace::default();
+        let mut longest = 0.0_f64;
+        for triangle in self.inner_triangles() {
+            let corners = self.corners(*triangle as usize);
+            for k in 0..3 {
+                let ends = [corners[k], corners[(k + 1) % 3]];
+                let [a, b] = ends.map(|u| self.spline().value(u, &mut workspace));
+                if let (Some(a), Some(b)) = (a, b) {
+                    longest = longest.max((b - a).norm());
+                }
+            }
+        }
+        self.sample_per_patch((longest / step).ceil().clamp(1.0, MAX_SEGMENTS as f64) as usize)
+    }
+
+    /// Points, triangles and the net's triangle of each.
+    fn grid(&self, segments: usize) -> (Vec<Vec2>, Vec<[u32; 3]>, Vec<u32>) {
+        let net = self.spline().net();
+        let mut known: BTreeMap<[(u32, usize); 3], u32> = BTreeMap::new();
+        let mut points: Vec<Vec2> = Vec::new();
+        let mut small: Vec<[u32; 3]> = Vec::new();
+        let mut of: Vec<u32> = Vec::new();
+        for triangle in self.inner_triangles() {
+            let corners = net.triangles()[*triangle as usize];
+            let at = self.corners(*triangle as usize);
+            let mut number = |e: [usize; 3]| {
+                let mut key =
+                    [0, 1, 2].map(|k| (if e[k] == 0 { u32::MAX } else { corners[k] }, e[k]));
+                key.sort_unstable();
+                *known.entry(key).or_insert_with(|| {
+                    // Summed in the order of the key: the same bits from both sides of an edge.
+                    let mut u = Vec2::zeros();
+                    for (vertex, weight) in key.iter().filter(|k| k.1 > 0) {
+                        let corner = corners.iter().position(|c| c == vertex).unwrap_or(0);
+                        u += at[corner] * (*weight as f64 / segments as f64);
+                    }
+                    points.push(u);
+                    points.len() as u32 - 1
+                })
+            };
+            for i in 0..segments {
+                for j in 0..segments - i {
+                    let k = segments - 1 - i - j;
+                    small.push([
+                        number([i + 1, j, k]),
+                        number([i, j + 1, k]),
+                        number([i, j, k + 1]),
+                    ]);
+                    of.push(*triangle);
+                    if i > 0 {
+                        small.push([
+                            number([i - 1, j + 1, k + 1]),
+                            number([i, j, k + 1]),
+                            number([i, j + 1, k]),
+                        ]);
+                        of.push(*triangle);
+                    }
+                }
+            }
+        }
+        self.draw_onto_border(&mut points, &small);
+        let border = self.border();
+        let mut partition = Partition::new(points, &small);
+        let tiny = 1e-7 * self.edge_length() / segments as f64;
+        for (k, from) in border.iter().enumerate() {
+            partition.cut(*from, border[(k + 1) % border.len()], tiny);
+        }
+        let (triangles, origin) = partition.triangulate(|p, f| inside(border, p.centre(f)));
+        let origin = origin.iter().map(|t| of[*t as usize]).collect();
+        compact(&partition.points, &triangles, origin)
+    }
+
+    /// Moves grid points near the border onto it, as far as no triangle becomes thin by it.
+    fn draw_onto_border(&self, points: &mut [Vec2], triangles: &[[u32; 3]]) {
+        let mut around: Vec<Vec<u32>> = vec![Vec::new(); points.len()];
+        for (number, corners) in triangles.iter().enumerate() {
+            for v in corners {
+                around[*v as usize].push(number as u32);
+            }
+        }
+        for v in 0..points.len() {
+            let Some(first) = around[v].first() else {
+                continue;
+            };
+            let [a, b, c] = triangles[*first as usize].map(|v| points[v as usize]);
+            let step = ((b - a).norm() + (c - b).norm() + (a - c).norm()) / 3.0;
+            let (_, _, onto) = nearest_on_border(self.border(), points[v]);
+            if (onto - points[v]).norm() > ONTO_BORDER * step {
+                continue;
+            }
+            let before = std::mem::replace(&mut points[v], onto);
+            let fine = around[v].iter().all(|t| {
+                let [a, b, c] = triangles[*t as usize].map(|v| points[v as usize]);
+                quality(a, b, c) > 0.1
+            });
+            if !fine {
+                points[v] = before;
+            }
+        }
+    }
+}
