@@ -32,8 +32,8 @@ fn net(degree: usize) -> (KnotNet, Vec<Vec2>) {
     let mut clouds = Vec::new();
     for row in 0..SIDE {
         for column in 0..SIDE {
-            let vertex = Vec2::new(column as f64, row as f64)
-                + Vec2::new(dice.next(), dice.next()) * 0.125;
+            let vertex =
+                Vec2::new(column as f64, row as f64) + Vec2::new(dice.next(), dice.next()) * 0.125;
             let mut cloud = vec![vertex];
             cloud.extend((0..degree).map(|_| vertex + Vec2::new(dice.next(), dice.next()) * 0.125));
             clouds.push(cloud);

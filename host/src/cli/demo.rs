@@ -152,6 +152,7 @@ fn write(args: &Args, result: &Demo) -> anyhow::Result<()> {
     };
     let file = SurfaceFile {
         surface: surface.clone(),
+        chart: None,
         units: Some("mm".into()),
         provenance: Provenance {
             inputs: vec![Origin::of_file(&at("run.mcap"))?],

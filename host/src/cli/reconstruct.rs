@@ -15,7 +15,8 @@ use palpus_host::reconstruct::{
     Options, Progress, ReconstructError, Reconstruction, Stage, reconstruct,
 };
 use palpus_host::run::points::points;
-use palpus_host::spline::SampledSurface;
+use palpus_host::spline::{SampledSurface, Surface};
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{IsTerminal, Read, Write as _};
 use std::path::PathBuf;
@@ -54,10 +55,23 @@ pub struct Args {
     /// Cut each patch edge in so many segments. Default: as many as give about 100 000 triangles, 6 to 40.
     #[arg(long, value_name = "K")]
     mesh_per_patch: Option<usize>,
+    /// Cut the triangles as coarsely as a chord error of this much allows, in the unit of the input.
+    #[arg(long, value_name = "E", conflicts_with_all = ["mesh_step", "mesh_per_patch"])]
+    mesh_chord: Option<f64>,
+    /// Write mean and Gaussian curvature to .ply and .glb, and colour them by the mean curvature.
+    #[arg(long)]
+    mesh_curvature: bool,
     /// Largest gap between contacts that is closed, in the unit of the input; wider ones stay open with a clean
     /// border. Default: from the data, with the reason in the report.
     #[arg(long, value_name = "GAP")]
     max_gap: Option<f64>,
+    /// What kind of surface: a network of patches over any shape, or one chart over a disk-like region, smooth
+    /// in curvature everywhere from degree 3.
+    #[arg(long, value_enum, default_value_t = Kind::Network)]
+    surface: Kind,
+    /// Degree of the chart, 2 to 5; it is continuously differentiable one time less.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(2..=5))]
+    degree: u8,
     /// Make everything smooth: look for no creases.
     #[arg(long)]
     no_creases: bool,
@@ -94,6 +108,14 @@ pub struct Args {
     /// Leave with code 4 if the tolerance is not met.
     #[arg(long)]
     strict: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Kind {
+    /// Patches of degree 5 whose tangent planes agree.
+    Network,
+    /// One triangular B-spline.
+    Chart,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -151,6 +173,7 @@ pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
             max_memory: args.max_memory.saturating_mul(1 << 20),
             ..extract::Options::default()
         },
+        chart: (args.surface == Kind::Chart).then_some(usize::from(args.degree)),
         creases: (!args.no_creases).then(CreaseOptions::default),
         ..Options::default()
     };
@@ -202,8 +225,13 @@ fn check_outputs(args: &Args) -> Result<(), Failure> {
             "--stop-after extract and simplify end before there is a surface, so -o and --step have nothing to write; leave them out and use --mesh for the triangles of that stage"
         ));
     }
-    if let Some(step) = args.mesh_step.filter(|s| !(s.is_finite() && *s > 0.0)) {
-        return usage(anyhow!("--mesh-step {step}: a number above 0 is needed"));
+    for (name, value) in [
+        ("mesh-step", args.mesh_step),
+        ("mesh-chord", args.mesh_chord),
+    ] {
+        if let Some(value) = value.filter(|s| !(s.is_finite() && *s > 0.0)) {
+            return usage(anyhow!("--{name} {value}: a number above 0 is needed"));
+        }
     }
     for path in &args.mesh {
         if let Err(error) = MeshFormat::of(path) {
@@ -239,16 +267,18 @@ pub fn read(inputs: &[PathBuf]) -> Result<Cloud, Failure> {
 /// Writes what was asked for.
 fn write(args: &Args, cloud: &Cloud, result: &Reconstruction) -> Result<(), Failure> {
     let input = |e: anyhow::Error| Failure::new(Exit::Input, e);
-    if let (Some(path), Some(surface)) = (&args.output, &result.surface) {
+    let surface = final_surface(args, result)?;
+    if let (Some(path), true) = (&args.output, surface.is_some() || result.chart.is_some()) {
         let file = SurfaceFile {
-            surface: surface.clone(),
+            surface: result.surface.clone().unwrap_or_default(),
+            chart: result.chart.clone(),
             units: args.units.clone(),
             provenance: provenance(args).map_err(input)?,
             error: result.report.error.clone(),
         };
         file.write(path).map_err(|e| input(e.into()))?;
     }
-    if let (Some(path), Some(surface)) = (&args.step, &result.surface) {
+    if let (Some(path), Some(surface)) = (&args.step, &surface) {
         step::write(path, surface, args.units.as_deref()).map_err(|e| input(e.into()))?;
     }
     if let Some(folder) = &args.figures {
@@ -257,9 +287,12 @@ fn write(args: &Args, cloud: &Cloud, result: &Reconstruction) -> Result<(), Fail
             unit: args.units.clone().unwrap_or_default(),
             ..FigureOptions::default()
         };
-        stages(cloud, result)
-            .draw(folder, &figures)
-            .map_err(|e| input(e.into()))?;
+        Stages {
+            refined: surface.as_deref(),
+            ..stages(cloud, result)
+        }
+        .draw(folder, &figures)
+        .map_err(|e| input(e.into()))?;
     }
     for path in &args.mesh {
         let sampled = sample(args, result).map_err(input)?;
@@ -269,6 +302,21 @@ fn write(args: &Args, cloud: &Cloud, result: &Reconstruction) -> Result<(), Fail
         write_bytes(path, result.report.to_json().as_bytes()).map_err(|e| input(e.into()))?;
     }
     Ok(())
+}
+
+/// The surface that STEP and the pictures show: the network, or a chart's pieces where they are needed.
+fn final_surface<'a>(
+    args: &Args,
+    result: &'a Reconstruction,
+) -> Result<Option<Cow<'a, Surface>>, Failure> {
+    Ok(match (&result.surface, &result.chart) {
+        (Some(surface), _) => Some(Cow::Borrowed(surface)),
+        (None, Some(chart)) if args.step.is_some() || args.figures.is_some() => {
+            let pieces = chart.pieces().map_err(|e| Failure::new(Exit::Input, e))?;
+            Some(Cow::Owned(pieces.surface))
+        }
+        _ => None,
+    })
 }
 
 /// Everything that can be drawn.
@@ -284,16 +332,37 @@ pub fn stages<'a>(cloud: &'a Cloud, result: &'a Reconstruction) -> Stages<'a> {
 
 /// The triangles of the last stage that ran.
 fn sample(args: &Args, result: &Reconstruction) -> anyhow::Result<SampledSurface> {
-    match (&result.surface, args.mesh_step) {
-        (Some(surface), Some(step)) => Ok(surface.sample(step)?),
-        (Some(surface), None) => Ok(surface.sample_per_patch(
+    if let Some(chart) = &result.chart {
+        let mut sampled = match (args.mesh_step, args.mesh_chord) {
+            (Some(step), _) => chart.sample(step),
+            (None, Some(chord)) => chart.sample_chord(chord),
+            (None, None) => chart.sample_per_patch(
+                args.mesh_per_patch
+                    .unwrap_or_else(|| segments(chart.inner_triangles().len())),
+            ),
+        };
+        if args.mesh_curvature {
+            chart.add_curvature(&mut sampled);
+        }
+        return Ok(sampled);
+    }
+    let Some(surface) = &result.surface else {
+        return Ok(sampled_from_mesh(
+            result.simplified.as_ref().unwrap_or(&result.extracted),
+        ));
+    };
+    let mut sampled = match (args.mesh_step, args.mesh_chord) {
+        (Some(step), _) => surface.sample(step)?,
+        (None, Some(chord)) => surface.sample_chord(chord)?,
+        (None, None) => surface.sample_per_patch(
             args.mesh_per_patch
                 .unwrap_or_else(|| segments(surface.faces.len())),
-        )?),
-        (None, _) => Ok(sampled_from_mesh(
-            result.simplified.as_ref().unwrap_or(&result.extracted),
-        )),
+        )?,
+    };
+    if args.mesh_curvature {
+        surface.add_curvature(&mut sampled);
     }
+    Ok(sampled)
 }
 
 /// Segments per patch edge for about 100 000 triangles.
@@ -319,6 +388,10 @@ fn provenance(args: &Args) -> anyhow::Result<Provenance> {
     put("lambda", args.lambda.into());
     put("max-patches", args.max_patches.into());
     put("rounds", args.rounds.into());
+    if args.surface == Kind::Chart {
+        put("surface", "chart".into());
+        put("degree", args.degree.into());
+    }
     put("seed", args.seed.into());
     Ok(Provenance { inputs, options })
 }

@@ -3,10 +3,13 @@
 //! One mesh with `POSITION`, `NORMAL` and, where the surface knows its confidence, `_SIGMA` (standard deviation
 //! of the position, in the unit of the surface) and `COLOR_0`: the same as a colour, from blue (0) over
 //! pale grey to orange (the largest sigma present), which also the common colour-blind can tell apart.
+//! Where the surface was asked for its curvature, `_MEAN_CURVATURE` and `_GAUSS_CURVATURE` stand beside, and `COLOR_0`
+//! shows the mean curvature: orange where the surface bends outwards, blue inwards.
 //! Points of a crease stand once per side, each with its own normal. Coordinates are those of the surface:
 //! neither turned to glTF's y-up nor scaled to its metre.
 
 use super::ExportError;
+use super::colour::{curvature_shares, linear};
 use crate::spline::SampledSurface;
 use serde_json::{Value, json};
 
@@ -108,15 +111,32 @@ pub fn encode(sampled: &SampledSurface) -> Result<Vec<u8>, ExportError> {
                 0.0
             }
         };
-        let colours = sigma.iter().flat_map(|s| colour(share(s))).collect();
+        let shares: Vec<f32> = sigma.iter().map(share).collect();
         attributes["_SIGMA"] = json!(buffer.add(
             ARRAY_BUFFER,
             floats(&mut sigma.iter().copied()),
             json!({"componentType": FLOAT, "count": count, "type": "SCALAR"}),
         ));
+        if sampled.curvature.is_empty() {
+            attributes["COLOR_0"] = json!(buffer.add(
+                ARRAY_BUFFER,
+                colours(&shares),
+                json!({"componentType": UNSIGNED_BYTE, "normalized": true, "count": count, "type": "VEC4"}),
+            ));
+        }
+    }
+    if sampled.curvature.len() == count {
+        for (name, part) in [("_MEAN_CURVATURE", 0), ("_GAUSS_CURVATURE", 1)] {
+            let mut values = sampled.curvature.iter().map(|c| c[part] as f32);
+            attributes[name] = json!(buffer.add(
+                ARRAY_BUFFER,
+                floats(&mut values),
+                json!({"componentType": FLOAT, "count": count, "type": "SCALAR"}),
+            ));
+        }
         attributes["COLOR_0"] = json!(buffer.add(
             ARRAY_BUFFER,
-            colours,
+            colours(&curvature_shares(sampled)),
             json!({"componentType": UNSIGNED_BYTE, "normalized": true, "count": count, "type": "VEC4"}),
         ));
     }
@@ -144,6 +164,15 @@ pub fn encode(sampled: &SampledSurface) -> Result<Vec<u8>, ExportError> {
     pack(&document, &buffer.bytes).ok_or_else(too_large)
 }
 
+/// Colours with full opacity, as glTF wants them.
+fn colours(shares: &[f32]) -> Vec<u8> {
+    let opaque = |share: &f32| {
+        let [red, green, blue] = linear(*share);
+        [red, green, blue, 255]
+    };
+    shares.iter().flat_map(opaque).collect()
+}
+
 /// Header, JSON chunk, binary chunk.
 fn pack(document: &Value, binary: &[u8]) -> Option<Vec<u8>> {
     let mut text = document.to_string().into_bytes();
@@ -167,18 +196,4 @@ fn pack(document: &Value, binary: &[u8]) -> Option<Vec<u8>> {
         out.extend(binary);
     }
     Some(out)
-}
-
-/// Colour of a share (0 to 1): blue, pale grey, orange. Vertex colours of glTF are linear light: the stops
-/// are #2166ac, #ebebeb and #d95f02 of sRGB.
-fn colour(share: f32) -> [u8; 4] {
-    const STOPS: [[f32; 3]; 3] = [[3.9, 33.9, 105.2], [211.9; 3], [176.9, 29.2, 0.2]];
-    let share = share.clamp(0.0, 1.0);
-    let (from, to, t) = if share < 0.5 {
-        (STOPS[0], STOPS[1], 2.0 * share)
-    } else {
-        (STOPS[1], STOPS[2], 2.0 * share - 1.0)
-    };
-    let channel = |k: usize| (from[k] + (to[k] - from[k]) * t).round() as u8;
-    [channel(0), channel(1), channel(2), 255]
 }

@@ -13,6 +13,8 @@
 //! Promised for all: the same surface gives the same bytes; points on shared edges are the same in every
 //! triangle that uses them, to the last bit, so a closed surface is a closed mesh.
 
+pub mod chart_file;
+mod colour;
 pub mod glb;
 pub mod obj;
 pub mod ply;
@@ -48,6 +50,9 @@ pub enum ExportError {
         /// File.
         file: String,
     },
+    /// The chart cannot be cut into pieces.
+    #[error(transparent)]
+    Chart(#[from] crate::spline::chart::ChartError),
     /// The surface is damaged.
     #[error(transparent)]
     Surface(#[from] SurfaceError),
@@ -161,6 +166,42 @@ mod tests {
             shapes::sheet(),
             shapes::cube(),
         ]
+    }
+
+    #[test]
+    fn curvature_is_a_property_and_a_colour() {
+        let surface = shapes::torus();
+        let mut sampled = surface.sample_per_patch(3).unwrap();
+        let plain = ply::encode(&sampled);
+        surface.add_curvature(&mut sampled);
+        let bytes = ply::encode(&sampled);
+        let text = String::from_utf8_lossy(&bytes);
+        let header = text.split("end_header").next().unwrap();
+        assert!(header.contains("float mean_curvature") && header.contains("uchar blue"));
+        assert_eq!(
+            bytes.len() - plain.len(),
+            11 * sampled.positions.len() + header.len()
+                - String::from_utf8_lossy(&plain)
+                    .split("end_header")
+                    .next()
+                    .unwrap()
+                    .len()
+        );
+        let glb = glb::encode(&sampled).unwrap();
+        let text = String::from_utf8_lossy(&glb);
+        for name in ["_MEAN_CURVATURE", "_GAUSS_CURVATURE", "COLOR_0"] {
+            assert!(text.contains(name), "{name}");
+        }
+        let shares = colour::curvature_shares(&sampled);
+        for (number, (face, at)) in sampled.parameters.iter().enumerate() {
+            let [mean, gauss] = surface.curvature(*face as usize, *at).unwrap();
+            let [found_mean, found_gauss] = sampled.curvature[number];
+            assert!((found_mean - mean).abs() < 1e-9 && (found_gauss - gauss).abs() < 1e-8);
+            // Orange where it bends outwards.
+            let [red, _, blue] = colour::srgb(shares[number]);
+            assert!((mean > 0.0) == (shares[number] > 0.5));
+            assert!(mean.abs() < 0.1 || (red > blue) == (mean > 0.0));
+        }
     }
 
     #[test]

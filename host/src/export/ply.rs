@@ -1,13 +1,15 @@
 //! Triangles as binary little-endian PLY, for MeshLab, CloudCompare and every mesh library.
 //!
 //! Element `vertex`: `double x y z`, `float nx ny nz`, and `float sigma` (standard deviation of the position)
-//! where the surface knows it. Element `face`: `list uchar int vertex_indices`.
+//! where the surface knows it. Where it was asked for its curvature, also `float mean_curvature gauss_curvature` and, as
+//! `uchar red green blue`, the mean curvature as a colour (orange bends outwards, blue inwards). Element `face`: `list uchar int vertex_indices`.
 //!
 //! A vertex of PLY has one normal. Two ways were weighed for the points of a crease, which have one per side:
 //! to write them once per side (exact normals, but the mesh falls apart along creases for every program that
 //! does not weld) or once with the mean of the sides' normals. The second was taken: the mesh keeps its
 //! topology. Exact normals on both sides are in OBJ and GLB.
 
+use super::colour::{curvature_shares, srgb};
 use super::weld::Welded;
 use crate::Vec3;
 use crate::spline::SampledSurface;
@@ -34,6 +36,11 @@ pub fn encode(sampled: &SampledSurface) -> Vec<u8> {
     if has_sigma {
         header += "property float sigma\n";
     }
+    let shares = curvature_shares(sampled);
+    if !shares.is_empty() {
+        header += "property float mean_curvature\nproperty float gauss_curvature\n";
+        header += "property uchar red\nproperty uchar green\nproperty uchar blue\n";
+    }
     header += &format!(
         "element face {}\nproperty list uchar int vertex_indices\nend_header\n",
         triangles.len()
@@ -54,6 +61,12 @@ pub fn encode(sampled: &SampledSurface) -> Vec<u8> {
         }
         if has_sigma {
             out.extend((sampled.sigma[*first as usize] as f32).to_le_bytes());
+        }
+        if let Some(share) = shares.get(*first as usize) {
+            for value in sampled.curvature[*first as usize] {
+                out.extend((value as f32).to_le_bytes());
+            }
+            out.extend(srgb(*share));
         }
     }
     for triangle in triangles {

@@ -7,7 +7,7 @@
 //! | key | value |
 //! |---|---|
 //! | `format` | `"palpus-surface"` |
-//! | `format_version` | 1. Readers refuse versions they do not know; keys they do not know they pass over |
+//! | `format_version` | 1 (2 for charts: [`super::chart_file`]). Readers refuse versions they do not know; keys they do not know they pass over |
 //! | `generator` | program and version |
 //! | `units` | unit of all lengths (`"mm"`), or `null` where the input did not say |
 //! | `degree` | 5 |
@@ -48,9 +48,11 @@
 //! print(point(0, (1 / 3, 1 / 3, 1 / 3)))
 //! ```
 
+use super::chart_file::{self, CHART_VERSION, ChartDocument};
 use crate::Vec3;
 use crate::report::ErrorFigures;
 use crate::spline::bernstein::{CONTROL_POINTS, DEGREE, EXPONENTS};
+use crate::spline::chart::{Chart, ChartError};
 use crate::spline::{Surface, SurfaceError};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -111,8 +113,10 @@ pub struct Provenance {
 /// A surface with all that its file says about it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SurfaceFile {
-    /// The surface.
+    /// The surface; of a chart its Bézier pieces when it was read, and not looked at when it is written.
     pub surface: Surface,
+    /// The chart, if it is one (layout version 2, [`super::chart_file`]).
+    pub chart: Option<Chart>,
     /// Unit of all lengths, where known.
     pub units: Option<String>,
     /// Where it came from.
@@ -142,7 +146,7 @@ pub enum SurfaceFileError {
     },
     /// The file is of a version that is not known.
     #[error(
-        "{file}: has format version {found}, this program reads {FORMAT_VERSION}; use the program that wrote it or write it again"
+        "{file}: has format version {found}, this program reads {FORMAT_VERSION} and {CHART_VERSION}; use the program that wrote it or write it again"
     )]
     Version {
         /// File.
@@ -173,6 +177,14 @@ pub enum SurfaceFileError {
         found: String,
         /// What would be right.
         expected: String,
+    },
+    /// The parts do not form a chart.
+    #[error("{file}: {error}")]
+    Chart {
+        /// File.
+        file: String,
+        /// What is wrong.
+        error: ChartError,
     },
     /// The parts do not form a surface.
     #[error("{file}: {error}")]
@@ -266,7 +278,12 @@ impl SurfaceFile {
                 found,
             });
         }
-        if head.format_version.as_ref().and_then(Value::as_u64) != Some(FORMAT_VERSION) {
+        let version = head.format_version.as_ref().and_then(Value::as_u64);
+        if version == Some(CHART_VERSION) {
+            let document: ChartDocument = serde_json::from_slice(bytes).map_err(json)?;
+            return document.into_file(name);
+        }
+        if version != Some(FORMAT_VERSION) {
             let found = head.format_version.map_or("none".into(), |v| v.to_string());
             return Err(SurfaceFileError::Version {
                 file: file(),
@@ -282,6 +299,43 @@ impl SurfaceFile {
     /// # Errors
     /// A surface that is no valid network.
     pub fn to_bytes(&self) -> Result<Vec<u8>, SurfaceError> {
+        let mut entries: Vec<(&str, String)> = Vec::new();
+        let (head, body) = match &self.chart {
+            Some(chart) => (chart_file::head(), chart_file::entries(chart)),
+            None => (
+                [
+                    ("format", text(&FORMAT)),
+                    ("format_version", text(&FORMAT_VERSION)),
+                ],
+                self.network()?,
+            ),
+        };
+        entries.extend(head);
+        entries.push((
+            "generator",
+            text(&concat!("palpus ", env!("CARGO_PKG_VERSION"))),
+        ));
+        entries.push(("units", text(&self.units)));
+        entries.extend(body);
+        // JSON has no NaN; figures that are none are left out.
+        let finite = |e: &&ErrorFigures| {
+            [e.tolerance, e.sum, e.abs_sum, e.rms, e.max]
+                .iter()
+                .all(|x| x.is_finite())
+        };
+        if let Some(error) = self.error.as_ref().filter(finite) {
+            entries.push(("error", text(error)));
+        }
+        entries.push(("provenance", text(&self.provenance)));
+        let lines: Vec<String> = entries
+            .iter()
+            .map(|(key, value)| format!("\"{key}\": {value}"))
+            .collect();
+        Ok(format!("{{\n{}\n}}\n", lines.join(",\n")).into_bytes())
+    }
+
+    /// The entries of a network between `units` and `error`.
+    fn network(&self) -> Result<Vec<(&'static str, String)>, SurfaceError> {
         let table = self.surface.check()?;
         let surface = &self.surface;
         let borders: Vec<[u32; 2]> = table
@@ -290,31 +344,6 @@ impl SurfaceFile {
             .filter(|e| e.is_border())
             .map(|e| e.vertices)
             .collect();
-        let mut out = String::from("{\n");
-        let mut put = |key: &str, value: String, last: bool| {
-            out.push_str(&format!(
-                "\"{key}\": {value}{}\n",
-                if last { "" } else { "," }
-            ));
-        };
-        put("format", text(&FORMAT), false);
-        put("format_version", text(&FORMAT_VERSION), false);
-        put(
-            "generator",
-            text(&concat!("palpus ", env!("CARGO_PKG_VERSION"))),
-            false,
-        );
-        put("units", text(&self.units), false);
-        put("degree", text(&DEGREE), false);
-        put("exponents", text(&EXPONENTS), false);
-        put(
-            "vertices",
-            rows(surface.vertices.iter().map(|v| text(&[v.x, v.y, v.z]))),
-            false,
-        );
-        if !surface.sigma.is_empty() {
-            put("sigma", text(&surface.sigma), false);
-        }
         let faces = surface
             .faces
             .iter()
@@ -327,21 +356,21 @@ impl SurfaceFile {
                     text(&points)
                 )
             });
-        put("faces", rows(faces), false);
-        put("creases", text(&surface.creases), false);
-        put("borders", text(&borders), false);
-        // JSON has no NaN; figures that are none are left out.
-        let finite = |e: &&ErrorFigures| {
-            [e.tolerance, e.sum, e.abs_sum, e.rms, e.max]
-                .iter()
-                .all(|x| x.is_finite())
-        };
-        if let Some(error) = self.error.as_ref().filter(finite) {
-            put("error", text(error), false);
+        let mut out = vec![
+            ("degree", text(&DEGREE)),
+            ("exponents", text(&EXPONENTS)),
+            (
+                "vertices",
+                rows(surface.vertices.iter().map(|v| text(&[v.x, v.y, v.z]))),
+            ),
+        ];
+        if !surface.sigma.is_empty() {
+            out.push(("sigma", text(&surface.sigma)));
         }
-        put("provenance", text(&self.provenance), true);
-        out.push_str("}\n");
-        Ok(out.into_bytes())
+        out.push(("faces", rows(faces)));
+        out.push(("creases", text(&surface.creases)));
+        out.push(("borders", text(&borders)));
+        Ok(out)
     }
 
     /// Writes the file.
@@ -445,6 +474,7 @@ impl Document {
         }
         Ok(SurfaceFile {
             surface,
+            chart: None,
             units: self.units,
             provenance: self.provenance,
             error: self.error,
@@ -453,12 +483,12 @@ impl Document {
 }
 
 /// JSON of a value that always serialises: numbers, strings, lists and structs of them.
-fn text(value: &impl Serialize) -> String {
+pub(super) fn text(value: &impl Serialize) -> String {
     serde_json::to_string(value).unwrap_or_default()
 }
 
 /// A list with one entry per line.
-fn rows(entries: impl Iterator<Item = String>) -> String {
+pub(super) fn rows(entries: impl Iterator<Item = String>) -> String {
     let entries: Vec<String> = entries.collect();
     format!("[\n{}\n]", entries.join(",\n"))
 }
@@ -473,6 +503,7 @@ mod tests {
         let options = [("lambda", 0.1.into()), ("seed", 7.into())];
         SurfaceFile {
             surface,
+            chart: None,
             units: Some("mm".into()),
             provenance: Provenance {
                 inputs: vec![Origin::of_bytes("a.ply", b"abc")],
@@ -562,8 +593,8 @@ mod tests {
             ("{}".into(), "no key `format`"),
             (change("palpus-surface", "other"), "format \"other\""),
             (
-                change("\"format_version\": 1", "\"format_version\": 2"),
-                "format version 2",
+                change("\"format_version\": 1", "\"format_version\": 3"),
+                "format version 3",
             ),
             (good[..good.len() / 2].to_owned(), "line "),
             (

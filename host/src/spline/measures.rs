@@ -161,7 +161,11 @@ impl Surface {
     fn curvature_jump(&self, table: &EdgeTable) -> [f64; 2] {
         let creases: std::collections::BTreeSet<_> = self.creases.iter().copied().collect();
         let (mut worst, mut square, mut count) = (0.0_f64, 0.0, 0usize);
-        for edge in table.edges.iter().filter(|e| !creases.contains(&e.vertices)) {
+        for edge in table
+            .edges
+            .iter()
+            .filter(|e| !creases.contains(&e.vertices))
+        {
             let Some(sides) = edge.both() else { continue };
             for place in 1..PLACES - 1 {
                 let t = place as f64 / (PLACES - 1) as f64;

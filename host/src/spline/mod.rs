@@ -2,11 +2,13 @@
 
 pub mod bernstein;
 pub mod chart;
+pub mod conversion;
 pub mod edges;
 pub mod energy;
 pub mod local_shape;
 mod measures;
 pub mod network;
+pub mod query;
 mod sampling;
 pub mod simplex;
 mod surface;

@@ -19,6 +19,8 @@ pub struct SampledSurface {
     pub normals: Vec<Vec3>,
     /// Standard deviation per point (linear between the vertices' values); empty if unknown.
     pub sigma: Vec<f64>,
+    /// Mean and Gaussian curvature per point, where they were asked for ([`Surface::add_curvature`]); else empty.
+    pub curvature: Vec<[f64; 2]>,
     /// Triangles, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
     /// Patch each triangle came from.
@@ -73,7 +75,19 @@ impl Surface {
         Ok(self.sample_edges(&table, &per_edge))
     }
 
-    fn sample_edges(&self, table: &EdgeTable, segments: &[usize]) -> SampledSurface {
+    /// Fills in mean and Gaussian curvature at the sampled points; 0 where the surface is not regular.
+    pub fn add_curvature(&self, sampled: &mut SampledSurface) {
+        sampled.curvature = sampled
+            .parameters
+            .iter()
+            .map(|(face, at)| {
+                let shape = self.local_shape(*face as usize, *at);
+                shape.map_or([0.0; 2], |s| [s.mean, s.gauss])
+            })
+            .collect();
+    }
+
+    pub(super) fn sample_edges(&self, table: &EdgeTable, segments: &[usize]) -> SampledSurface {
         let creases: BTreeSet<[u32; 2]> = self.creases.iter().copied().collect();
         let smooth: Vec<bool> = table
             .edges

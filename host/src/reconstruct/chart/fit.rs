@@ -22,10 +22,15 @@ use crate::spline::simplex::{Approach, KnotNet, TriangularBSpline, Vec2, Workspa
 use nalgebra::{Matrix2, Matrix3};
 use rayon::prelude::*;
 
-/// Weight of the distance within the tangent plane relative to that along the normal (as in the network's fit).
-const TANGENTIAL: f64 = 0.02;
-/// Least weight of the energy within the tangent plane: there it shapes only the parameters.
+/// Weight of the distance within the tangent plane relative to that along the normal. The map into the plane is a good
+/// parameterisation already: it is kept stiffer than the network's (0.02), or the parameters drift towards the border until
+/// the rim folds (bowl).
+const TANGENTIAL: f64 = 0.1;
+/// Weight of the energy within the tangent plane: there it shapes only the parameters.
 const PARAMETER_SMOOTHING: f64 = 1e-5;
+/// Where the parameters fold all the same, and around, the weight grows by this factor in each of so many further rounds.
+const UNFOLD: f64 = 50.0;
+const UNFOLD_ROUNDS: usize = 2;
 /// Share of the plain second derivatives in the energy; keeps quadratics bounded in the ring.
 const BENDING: f64 = 1e-3;
 /// Tether of control points to where they were, relative to the mean diagonal.
@@ -150,11 +155,7 @@ struct Basis {
 }
 
 impl Level {
-    pub fn new(
-        degree: usize,
-        lattice: &Lattice,
-        outline: &[Vec2],
-    ) -> Result<Self, ChartFitError> {
+    pub fn new(degree: usize, lattice: &Lattice, outline: &[Vec2]) -> Result<Self, ChartFitError> {
         let (clouds, bounds) = knot_clouds(degree, &lattice.vertices, &lattice.triangles)?;
         let net = KnotNet::new(degree, &clouds, lattice.triangles.clone())?;
         let (numbers, count) = net.shared_numbers();
@@ -315,10 +316,24 @@ impl Level {
             .iter()
             .flatten()
             .all(|p| p.tangents[0] == Vec3::zeros());
-        for round in 0..rounds {
+        let mut stiffness = vec![PARAMETER_SMOOTHING; self.energy.len()];
+        for round in 0..rounds + UNFOLD_ROUNDS {
             let first = fresh && round == 0;
+            if round >= rounds {
+                let Some(chart) = chart
+                    .as_ref()
+                    .filter(|chart| self.stiffen(chart, &mut stiffness))
+                else {
+                    break;
+                };
+                // Stiffer parameters fit less well: that is no reason to throw the round away.
+                best = f64::INFINITY;
+                points = self.shared_points(chart);
+            }
             let weights = weigh(data, &places, options, first);
-            let next = self.solve(data, &places, &weights, options, tether, &points, first)?;
+            let next = self.solve(
+                data, &places, &weights, options, &stiffness, tether, &points, first,
+            )?;
             let next_chart = self.chart(&next)?;
             let next_places = self.feet(&next_chart, data, &places);
             let error = misfit(data, &next_places, &weights);
@@ -353,6 +368,32 @@ impl Level {
         })
     }
 
+    /// Control points by their shared numbers.
+    fn shared_points(&self, chart: &Chart) -> Vec<Vec3> {
+        let mut points = vec![Vec3::zeros(); self.count];
+        for (number, point) in self.numbers.iter().zip(chart.spline().control_points()) {
+            points[*number as usize] = *point;
+        }
+        points
+    }
+
+    /// Raises the weight of the parameters' energy at folded triangles and their neighbours; false if none folds.
+    fn stiffen(&self, chart: &Chart, stiffness: &mut [f64]) -> bool {
+        let folded = chart.folded_triangles();
+        let mut near = vec![false; self.net.vertices()];
+        for triangle in &folded {
+            for vertex in self.net.triangles()[*triangle as usize] {
+                near[vertex as usize] = true;
+            }
+        }
+        for (corners, weight) in self.net.triangles().iter().zip(stiffness) {
+            if corners.iter().any(|v| near[*v as usize]) {
+                *weight *= UNFOLD;
+            }
+        }
+        !folded.is_empty()
+    }
+
     /// Points all over the region, a twelfth of an edge apart.
     fn region_samples(&self) -> Vec<Vec2> {
         const STEPS: usize = 12;
@@ -376,7 +417,11 @@ impl Level {
     /// First control points: the extracted mesh near each function's Greville point.
     fn start(&self, mesh: &TriangleMesh, flat: &Flat) -> Vec<Vec3> {
         let plane = TriangleMesh {
-            positions: flat.places.iter().map(|u| Vec3::new(u.x, u.y, 0.0)).collect(),
+            positions: flat
+                .places
+                .iter()
+                .map(|u| Vec3::new(u.x, u.y, 0.0))
+                .collect(),
             faces: mesh.faces.clone(),
         };
         let tree = AabbTree::new(&plane);
@@ -398,24 +443,28 @@ impl Level {
         places: &[Option<Place>],
         weights: &[f64],
         options: &ChartOptions,
+        stiffness: &[f64],
         tether: f64,
         previous: &[Vec3],
         first: bool,
     ) -> Result<Vec<Vec3>, ChartFitError> {
         let mut sums = Normal::new(self.count);
-        let before = if first { None } else { Some(self.chart(previous)?) };
-        let (across, along) = (
-            options.smoothing,
-            options.smoothing.max(PARAMETER_SMOOTHING),
-        );
+        let before = if first {
+            None
+        } else {
+            Some(self.chart(previous)?)
+        };
+        let across = options.smoothing;
         let metrics: Vec<Matrix3<f64>> = self
             .energy
             .par_iter()
-            .map_init(Workspace::default, |workspace, energy| {
+            .zip(stiffness)
+            .map_init(Workspace::default, |workspace, (energy, along)| {
                 let normal = before.as_ref().and_then(|chart| {
                     let jet = chart.jet(energy.middle, workspace)?;
                     jet.gradient[0].cross(&jet.gradient[1]).try_normalize(1e-12)
                 });
+                let along = *along;
                 let mut metric = Matrix3::identity() * along;
                 if let Some(n) = normal {
                     metric += n * n.transpose() * (across - along);
@@ -467,9 +516,10 @@ impl Level {
             Some(normal) if !first && normal.dot(&datum.normal) > 0.5 => normal,
             _ => datum.normal,
         };
-        // The first round has no parameters to speak of: a datum may slide less freely.
+        // The first round takes the map into the plane as it is.
+        let slide = if first { 0.0 } else { 1.0 - TANGENTIAL };
         let free = Matrix3::identity() - normal * normal.transpose();
-        let metric = (Matrix3::identity() - free * (1.0 - TANGENTIAL)) * weight;
+        let metric = (Matrix3::identity() - free * slide) * weight;
         sums.add(&basis.value, &metric, &datum.position);
         let strength = weight * datum.normal_weight;
         if strength <= 0.0 {
@@ -508,25 +558,21 @@ impl Level {
     }
 
     /// New foot points by Gauss-Newton steps from the old ones, kept within the region.
-    fn feet(
-        &self,
-        chart: &Chart,
-        data: &[Datum],
-        places: &[Option<Place>],
-    ) -> Vec<Option<Place>> {
+    fn feet(&self, chart: &Chart, data: &[Datum], places: &[Option<Place>]) -> Vec<Option<Place>> {
         let reach = self.net_edge();
         data.par_iter()
             .zip(places)
             .map_init(Workspace::default, |workspace, (datum, place)| {
                 let start = place.as_ref()?.u;
-                let mut at = self.evaluate(chart, self.into_region(datum.kind, start), workspace)?;
+                let mut at =
+                    self.evaluate(chart, self.within_region(datum.kind, start), workspace)?;
                 let mut best = at;
                 let mut best_distance = (datum.position - at.point).norm_squared();
                 for _ in 0..FOOT_STEPS {
                     let step = self.foot_step(datum, &at);
                     let length = step.norm();
                     let step = step * (reach / length.max(reach));
-                    let next = self.into_region(datum.kind, at.u + step);
+                    let next = self.within_region(datum.kind, at.u + step);
                     let moved = (next - at.u).norm();
                     at = self.evaluate(chart, next, workspace)?;
                     let distance = (datum.position - at.point).norm_squared();
@@ -571,7 +617,7 @@ impl Level {
         )
     }
 
-    fn into_region(&self, kind: Kind, u: Vec2) -> Vec2 {
+    fn within_region(&self, kind: Kind, u: Vec2) -> Vec2 {
         if kind != Kind::Line && inside(&self.outline, u) {
             return u;
         }
@@ -671,9 +717,21 @@ impl LevelFit {
                 })
             })
             .collect();
+        let border = self.chart.border();
+        let on_border = self
+            .places
+            .iter()
+            .map(|place| {
+                place.as_ref().is_some_and(|p| {
+                    let (_, _, nearest) = nearest_on_border(border, p.u);
+                    (nearest - p.u).norm() < 1e-9
+                })
+            })
+            .collect();
         FittedChart {
             chart: self.chart.clone(),
             feet,
+            on_border,
             functions: self.functions,
             bounds: self.bounds,
             stretch,

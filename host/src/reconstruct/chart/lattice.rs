@@ -78,7 +78,7 @@ impl Lattice {
         let columns = ((high.x - start.x) / edge) as usize + 4;
         let rows = ((high.y - start.y) / height) as usize + 4;
         let at = |row: usize, column: usize| {
-            let shift = if row % 2 == 0 { 0.0 } else { 0.5 };
+            let shift = if row.is_multiple_of(2) { 0.0 } else { 0.5 };
             start + Vec2::new((column as f64 + shift) * edge, row as f64 * height)
         };
         let number = |row: usize, column: usize| (row * columns + column) as u32;
@@ -87,7 +87,7 @@ impl Lattice {
             for column in 0..columns - 1 {
                 let [a, b] = [number(row, column), number(row, column + 1)];
                 let [c, d] = [number(row + 1, column), number(row + 1, column + 1)];
-                if row % 2 == 0 {
+                if row.is_multiple_of(2) {
                     all.extend([[a, b, c], [b, d, c]]);
                 } else {
                     all.extend([[a, d, c], [a, b, d]]);

@@ -97,6 +97,8 @@ pub struct FittedChart {
     pub chart: Chart,
     /// Foot point of each datum (its face a triangle of the chart's net); `None` where none was found.
     pub feet: Vec<Option<Foot>>,
+    /// Whether the foot point of each datum lies on the border of the region.
+    pub on_border: Vec<bool>,
     /// Functions that reach into the region: three free numbers each.
     pub functions: usize,
     /// What the knot clouds keep to.
@@ -107,6 +109,8 @@ pub struct FittedChart {
     pub history: Vec<f64>,
 }
 
+/// A triangle with fewer measured data is not split: a chart has four to five functions per triangle.
+const LEAST_DATA: usize = 5;
 /// Largest share of the triangles that are split one by one; beyond it a finer lattice is laid instead.
 const LOCAL_SHARE: f64 = 0.35;
 /// A finer lattice has edges of this share.
@@ -181,11 +185,24 @@ pub fn refine_chart(
         let gained = best.as_ref().is_none_or(|(least, ..)| badness < *least);
         without_gain = if gained { 0 } else { without_gain + 1 };
         let count = current.chart.spline().net().triangles().len();
-        let fits = face_fits(count, &data, &current.feet);
-        let beyond = fits.iter().any(|f| f.max > options.tolerance);
+        let beyond = face_fits(count, &data, &current.feet)
+            .iter()
+            .any(|f| f.max > options.tolerance);
+        // Points whose foot lies on the border lie beyond it: no split brings them closer.
+        let within: Vec<Option<Foot>> = current
+            .feet
+            .iter()
+            .zip(&current.on_border)
+            .map(|(foot, on_border)| foot.filter(|_| !on_border))
+            .collect();
+        let fits = face_fits(count, &data, &within);
         let split: Vec<bool> = fits
             .iter()
-            .map(|f| f.max > options.tolerance && f.is_lack_of_fit(options.noise_sigma))
+            .map(|f| {
+                f.count >= LEAST_DATA
+                    && f.max > options.tolerance
+                    && f.is_lack_of_fit(options.noise_sigma)
+            })
             .collect();
         let inner = current.chart.inner_triangles().len();
         let marked = split.iter().filter(|s| **s).count();
@@ -195,7 +212,11 @@ pub fn refine_chart(
         let end = if !beyond {
             Some(RefineEnd::Met)
         } else if marked == 0 {
-            Some(RefineEnd::Noise)
+            Some(if fits.iter().any(|f| f.max > options.tolerance) {
+                RefineEnd::Noise
+            } else {
+                RefineEnd::NoGain
+            })
         } else if without_gain > PATIENCE {
             Some(RefineEnd::NoGain)
         } else if levels == options.max_levels {
@@ -250,5 +271,108 @@ impl FittedChart {
             .into_iter()
             .map(|p| p.unwrap_or_else(Vec3::zeros))
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Options, reconstruct};
+    use crate::Vec3;
+    use crate::cloud::{Cloud, OrientedPoint};
+
+    /// Points of the upper half of a sphere of diameter 1, spread evenly (Fibonacci), nudged by at most `noise`.
+    fn half_sphere(count: usize, noise: f64) -> Cloud {
+        let points = (0..count)
+            .map(|k| {
+                let z = (k as f64 + 0.5) / count as f64;
+                let angle = 2.399_963_229_728_653 * k as f64;
+                let r = (1.0 - z * z).sqrt();
+                let normal = Vec3::new(r * angle.cos(), r * angle.sin(), z);
+                let off = noise * (12.9898 * k as f64).sin();
+                OrientedPoint {
+                    position: normal * (0.5 + off),
+                    normal,
+                    sigma: None,
+                    finger: None,
+                    time_us: None,
+                }
+            })
+            .collect();
+        Cloud {
+            points,
+            rejected: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn half_a_sphere_becomes_one_smooth_chart_close_to_it() {
+        let cloud = half_sphere(900, 0.0);
+        for (degree, threads) in [(2, 1), (3, 2), (4, 1)] {
+            let options = Options {
+                chart: Some(degree),
+                threads: Some(threads),
+                ..Options::default()
+            };
+            let result = reconstruct(&cloud, &options, &|_| ()).unwrap();
+            let chart = result.chart.unwrap();
+            let surface = result.report.surface.unwrap();
+            assert_eq!(surface.degree, degree);
+            assert_eq!(
+                (surface.euler, surface.borders, surface.folded_patches),
+                (1, 1, 0)
+            );
+            assert!(surface.g1_max_degrees < 1e-9);
+            if degree > 2 {
+                assert!(surface.curvature_jump_max.unwrap() < 1e-8);
+            }
+            let sampled = chart.sample_per_patch(6);
+            let away = sampled.positions.iter().map(|p| (p.norm() - 0.5).powi(2));
+            let rms = (away.sum::<f64>() / sampled.positions.len() as f64).sqrt();
+            let tolerance = result.report.error.unwrap().tolerance;
+            assert!(rms < tolerance, "degree {degree}: {rms}");
+        }
+    }
+
+    #[test]
+    fn charts_are_the_same_on_any_number_of_threads() {
+        let cloud = half_sphere(400, 0.004);
+        let of = |threads| {
+            let options = Options {
+                chart: Some(3),
+                threads: Some(threads),
+                ..Options::default()
+            };
+            reconstruct(&cloud, &options, &|_| ())
+                .unwrap()
+                .chart
+                .unwrap()
+        };
+        assert_eq!(of(1), of(3));
+    }
+
+    #[test]
+    fn a_whole_sphere_is_refused_with_what_it_is() {
+        let mut cloud = half_sphere(500, 0.0);
+        let below: Vec<OrientedPoint> = cloud
+            .points
+            .iter()
+            .map(|p| OrientedPoint {
+                position: -p.position,
+                normal: -p.normal,
+                ..*p
+            })
+            .collect();
+        cloud.points.extend(below);
+        let options = Options {
+            chart: Some(3),
+            ..Options::default()
+        };
+        let error = reconstruct(&cloud, &options, &|_| ())
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("no disk") && error.contains("0 border(s)"),
+            "{error}"
+        );
     }
 }

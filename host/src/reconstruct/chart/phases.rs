@@ -67,6 +67,16 @@ pub(in crate::reconstruct) fn chart_phases(
         end = Some(why);
         last = refined;
     }
+    let outside = from
+        .data
+        .iter()
+        .zip(&last.feet)
+        .zip(&last.on_border)
+        .filter(|((datum, foot), on_border)| {
+            let foot = foot.filter(|_| datum.kind == Kind::Measured && **on_border);
+            foot.is_some_and(|f| (f.point - datum.position).norm() > from.tolerance)
+        })
+        .count();
     finish(out, from, last)?;
     judge(
         &mut out.report,
@@ -75,6 +85,11 @@ pub(in crate::reconstruct) fn chart_phases(
         end,
         &from.extracted.outliers,
     );
+    if outside > 0 {
+        out.report.notes.push(format!(
+            "chart: {outside} of the points beyond the tolerance lie outside of the border of the extracted surface"
+        ));
+    }
     Ok(())
 }
 
@@ -121,9 +136,7 @@ fn finish(
         last.stretch[0]
     ));
     // The border's points of the chart come after the measured ones, as in the driver's data.
-    out.report.error = Some(figures(
-        distances(from.data, &last.feet).map(|d| d * scale),
-    ));
+    out.report.error = Some(figures(distances(from.data, &last.feet).map(|d| d * scale)));
     let (mut sum, mut max, mut count) = (0.0, 0.0_f64, 0usize);
     for angle in normal_angles(from.data, &last.feet) {
         sum += angle;

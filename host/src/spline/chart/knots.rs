@@ -157,11 +157,14 @@ mod tests {
                 for (i, a) in knots.iter().enumerate() {
                     for (j, b) in knots.iter().enumerate().skip(i + 1) {
                         for c in &knots[j + 1..] {
-                            let side =
-                                side_of_line(*a, *b, *c, Approach::from_side(Vec2::zeros()));
+                            let side = side_of_line(*a, *b, *c, Approach::from_side(Vec2::zeros()));
                             assert_ne!(side, 0);
                             let thin = (b - a).perp(&(c - a)).abs()
-                                / (b - a).norm().max((c - a).norm()).max((c - b).norm()).powi(2);
+                                / (b - a)
+                                    .norm()
+                                    .max((c - a).norm())
+                                    .max((c - b).norm())
+                                    .powi(2);
                             assert!(thin > 1e-5, "{degree}: {thin}");
                         }
                     }

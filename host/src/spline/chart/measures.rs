@@ -34,7 +34,9 @@ impl Chart {
         let mut along = |a: Vec2, b: Vec2, count: usize| {
             let way = b - a;
             let across = Vec2::new(-way.y, way.x);
-            places.extend((0..count).map(|k| (a + way * ((k + 1) as f64 / (count + 1) as f64), across)));
+            places.extend(
+                (0..count).map(|k| (a + way * ((k + 1) as f64 / (count + 1) as f64), across)),
+            );
         };
         for triangle in self.inner_triangles() {
             let corners = net.triangles()[*triangle as usize];
@@ -112,10 +114,20 @@ impl Chart {
         sum
     }
 
-    fn regularity(&self) -> (f64, usize) {
+    /// Triangles with a sample whose normal turns more than 90 degrees away from their mean normal.
+    pub fn folded_triangles(&self) -> Vec<u32> {
+        self.inner_triangles()
+            .iter()
+            .zip(self.elements())
+            .filter(|(_, (_, folds))| *folds)
+            .map(|(triangle, _)| *triangle)
+            .collect()
+    }
+
+    /// Smallest area element over the mean, and whether it turns over, of each triangle that meets the region.
+    fn elements(&self) -> Vec<(f64, bool)> {
         const STEPS: usize = 6;
-        let of_triangles: Vec<(f64, bool)> = self
-            .inner_triangles()
+        self.inner_triangles()
             .par_iter()
             .map_init(Workspace::default, |workspace, triangle| {
                 let corners = self.corners(*triangle as usize);
@@ -138,11 +150,22 @@ impl Chart {
                 let mean = norms.clone().sum::<f64>() / elements.len().max(1) as f64;
                 let least = norms.fold(f64::INFINITY, f64::min);
                 let folds = elements.iter().any(|e| e.dot(&sum) <= 0.0);
-                let share = if mean > 0.0 { least / mean } else { f64::INFINITY };
+                let share = if mean > 0.0 {
+                    least / mean
+                } else {
+                    f64::INFINITY
+                };
                 (share, folds)
             })
-            .collect();
-        let least = of_triangles.iter().map(|t| t.0).fold(f64::INFINITY, f64::min);
+            .collect()
+    }
+
+    fn regularity(&self) -> (f64, usize) {
+        let of_triangles = self.elements();
+        let least = of_triangles
+            .iter()
+            .map(|t| t.0)
+            .fold(f64::INFINITY, f64::min);
         let folded = of_triangles.iter().filter(|t| t.1).count();
         (if least.is_finite() { least } else { 0.0 }, folded)
     }

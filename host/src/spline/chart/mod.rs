@@ -15,8 +15,10 @@
 mod knots;
 mod measures;
 mod partition;
-mod pieces;
+pub(super) mod pieces;
 mod sampling;
+#[cfg(test)]
+pub(crate) mod shapes;
 
 pub use knots::{CloudBounds, knot_clouds};
 pub use measures::ChartMeasures;
@@ -68,6 +70,20 @@ pub struct Chart {
     sigma: Vec<f64>,
     /// Triangles that meet the region, in rising order.
     inner: Vec<u32>,
+}
+
+impl PartialEq for Chart {
+    /// Same knots, triangles, control points, region and deviations.
+    fn eq(&self, other: &Self) -> bool {
+        let (net, theirs) = (self.spline.net(), other.spline.net());
+        net.degree() == theirs.degree()
+            && net.triangles() == theirs.triangles()
+            && net.vertices() == theirs.vertices()
+            && (0..net.vertices()).all(|v| net.cloud(v) == theirs.cloud(v))
+            && self.spline.control_points() == other.spline.control_points()
+            && self.border == other.border
+            && self.sigma == other.sigma
+    }
 }
 
 impl Chart {
@@ -227,7 +243,11 @@ impl Chart {
         }
         let (triangle, at) = self.triangle_at(u)?;
         let corners = self.spline.net().triangles()[triangle];
-        Some((0..3).map(|k| at[k] * self.sigma[corners[k] as usize]).sum())
+        Some(
+            (0..3)
+                .map(|k| at[k] * self.sigma[corners[k] as usize])
+                .sum(),
+        )
     }
 
     /// Typical edge length of the triangulation in the parameter plane.

@@ -145,8 +145,7 @@ impl Partition {
         if t1.min(length) - t0.max(0.0) <= snap {
             return;
         }
-        let number = |partition: &mut Self, (start, at): (usize, Option<usize>), p: Vec2| match at
-        {
+        let number = |partition: &mut Self, (start, at): (usize, Option<usize>), p: Vec2| match at {
             Some(place) => partition.faces[face][place],
             None => {
                 let [a, b] = [start, (start + 1) % count].map(|k| partition.faces[face][k]);
@@ -223,7 +222,10 @@ impl Partition {
 
     /// Triangles of the faces that `keep` takes, each with the number of the triangle it was cut from. Every
     /// polygon is cut so that its thinnest triangle is as wide as can be.
-    pub fn triangulate(&mut self, keep: impl Fn(&Self, usize) -> bool) -> (Vec<[u32; 3]>, Vec<u32>) {
+    pub fn triangulate(
+        &mut self,
+        keep: impl Fn(&Self, usize) -> bool,
+    ) -> (Vec<[u32; 3]>, Vec<u32>) {
         let (mut triangles, mut origin) = (Vec::new(), Vec::new());
         for face in 0..self.faces.len() {
             if !keep(self, face) {
@@ -306,7 +308,9 @@ mod tests {
         let mut partition = Partition::new(points, &[[0, 1, 2], [0, 2, 3]]);
         let mut state = 7_u64;
         let mut next = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
             (state >> 40) as f64 / (1_u64 << 24) as f64
         };
         for _ in 0..60 {

@@ -61,10 +61,25 @@ impl Chart {
             positions: evaluated.iter().map(|e| e.0).collect(),
             normals: evaluated.iter().map(|e| e.1).collect(),
             sigma,
+            curvature: Vec::new(),
             triangles,
             patches,
             parameters: place,
         }
+    }
+
+    /// Fills in mean and Gaussian curvature at the sampled points; 0 where the chart is not regular.
+    pub fn add_curvature(&self, sampled: &mut SampledSurface) {
+        sampled.curvature = sampled
+            .parameters
+            .par_iter()
+            .map_init(Workspace::default, |workspace, (triangle, at)| {
+                let corners = self.corners(*triangle as usize);
+                let u = (0..3).map(|k| corners[k] * at[k]).sum();
+                let shape = self.local_shape(u, workspace);
+                shape.map_or([0.0; 2], |s| [s.mean, s.gauss])
+            })
+            .collect();
     }
 
     /// Samples with triangles whose edges are about `step` long, in the unit of the surface.
@@ -82,6 +97,40 @@ impl Chart {
             }
         }
         self.sample_per_patch((longest / step).ceil().clamp(1.0, MAX_SEGMENTS as f64) as usize)
+    }
+
+    /// Samples evenly, so finely that no triangle of the net bends away from its samples by more than `tolerance`: the
+    /// second derivatives at a grid over the net give the bound of Filip, Magedson and Markot (1986), with a half to spare for
+    /// what lies between the grid's points.
+    pub fn sample_chord(&self, tolerance: f64) -> SampledSurface {
+        const GRID: usize = 12;
+        const SPARE: f64 = 1.5;
+        let most = self
+            .inner_triangles()
+            .par_iter()
+            .map_init(Workspace::default, |workspace, triangle| {
+                let [a, b, c] = self.corners(*triangle as usize);
+                let (p, q) = (b - a, c - a);
+                let mut most = 0.0_f64;
+                for i in 0..=GRID {
+                    for j in 0..=GRID - i {
+                        let u = a + p * (i as f64 / GRID as f64) + q * (j as f64 / GRID as f64);
+                        let Some(jet) = self.jet(u, workspace) else {
+                            continue;
+                        };
+                        let [xx, xy, yy] = jet.hessian;
+                        let along = |s: Vec2, t: Vec2| {
+                            (xx * (s.x * t.x) + xy * (s.x * t.y + s.y * t.x) + yy * (s.y * t.y))
+                                .norm()
+                        };
+                        most = most.max(along(p, p) + 2.0 * along(p, q) + along(q, q));
+                    }
+                }
+                most
+            })
+            .reduce(|| 0.0, f64::max);
+        let segments = (SPARE * most / (8.0 * tolerance)).sqrt().ceil();
+        self.sample_per_patch(segments.clamp(1.0, MAX_SEGMENTS as f64) as usize)
     }
 
     /// Points, triangles and the net's triangle of each.
