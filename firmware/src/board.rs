@@ -28,6 +28,7 @@
 //! moment it leaves.
 
 use crate::commands::{PendingReply, RecentRequests};
+use crate::cut_off::CutOff;
 use crate::event::Event;
 use crate::front_end::{GaugeFrontEnd, JointFrontEnd};
 use crate::queue::DropOldest;
@@ -453,15 +454,5 @@ impl<G: GaugeFrontEnd, J: JointFrontEnd, S: CalibrationStore> Board<G, J, S> {
                 && self.contacts.is_empty()
                 && self.raw.is_empty()
                 && self.logs.is_empty())
-    }
-}
-
-/// Writes as much of a text as there is room for.
-struct CutOff<'a, const N: usize>(&'a mut String<N>);
-
-impl<const N: usize> Write for CutOff<'_, N> {
-    fn write_str(&mut self, text: &str) -> core::fmt::Result {
-        text.chars()
-            .try_for_each(|character| self.0.push(character).map_err(|_| core::fmt::Error))
     }
 }

@@ -3,7 +3,11 @@
 //!
 //! Events are small values. Nothing is formatted while sampling: the text is made when a line is
 //! handed to the transmitter, and the probe's log (`defmt`) formats on the host.
+//!
+//! Gauges and joints that go bad together and in the same way are one event: a dead converter or a
+//! torn cable must not push out of the queue what came before it.
 
+use crate::front_end::JointState;
 use crate::store::StoreError;
 use palpus_protocol::{FrameError, GaugeFlags, LogLevel, MessageError, Refusal};
 
@@ -15,7 +19,7 @@ pub enum Event {
         /// Id of the calibration in use.
         calibration_id: u32,
     },
-    /// The watchdog has restarted the board: sampling had stood still.
+    /// The watchdog has restarted the board: sampling or the link had stood still.
     WatchdogRestart,
     /// The board has restarted itself after a panic in this source line; the whole text went to the
     /// probe's log.
@@ -28,19 +32,21 @@ pub enum Event {
         /// The address.
         address: u32,
     },
-    /// A gauge went bad.
+    /// Gauges went bad in the same way.
     GaugeFault {
-        /// Number of the gauge.
-        gauge: u8,
-        /// What is wrong with it.
-        flags: GaugeFlags,
+        /// Which: bit n is gauge n.
+        gauges: u8,
+        /// What is wrong with them: one flag.
+        flag: GaugeFlags,
     },
     /// All gauges are good again.
     GaugesGood,
-    /// A joint angle went missing or failed its check bits.
+    /// Joint angles went missing or failed their check bits.
     JointFault {
-        /// Number of the joint, base first.
-        joint: u8,
+        /// Which: bit n is joint n, base first.
+        joints: u8,
+        /// What is wrong with them.
+        state: JointState,
     },
     /// All joint angles are good again.
     JointsGood,
@@ -103,6 +109,18 @@ impl Event {
     }
 }
 
+/// "gauge 4:", "gauges 0 1 2:".
+fn write_numbers(f: &mut core::fmt::Formatter<'_>, what: &str, bits: u8) -> core::fmt::Result {
+    f.write_str(what)?;
+    if bits.count_ones() > 1 {
+        f.write_str("s")?;
+    }
+    (0..8)
+        .filter(|number| bits & (1 << number) != 0)
+        .try_for_each(|number| write!(f, " {number}"))?;
+    f.write_str(":")
+}
+
 impl core::fmt::Display for Event {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
@@ -111,7 +129,7 @@ impl core::fmt::Display for Event {
                 write!(f, "started with calibration {calibration_id}")
             }
             Self::WatchdogRestart => {
-                f.write_str("restarted by the watchdog: sampling had stood still")
+                f.write_str("restarted by the watchdog: sampling or the link had stood still")
             }
             Self::PanicRestart { line } => {
                 write!(f, "restarted after a panic in source line {line}")
@@ -119,15 +137,22 @@ impl core::fmt::Display for Event {
             Self::FaultRestart { address } => {
                 write!(f, "restarted after a processor fault at {address:#010x}")
             }
-            Self::GaugeFault { gauge, flags } => {
-                write!(f, "gauge {gauge}:")?;
+            Self::GaugeFault { gauges, flag } => {
+                write_numbers(f, "gauge", *gauges)?;
                 GaugeFlags::NAMES
                     .iter()
-                    .filter(|(flag, _)| flags.contains(*flag))
+                    .filter(|(one, _)| flag.contains(*one))
                     .try_for_each(|(_, name)| write!(f, " {name}"))
             }
             Self::GaugesGood => f.write_str("all gauges good again"),
-            Self::JointFault { joint } => write!(f, "joint {joint}: no good angle"),
+            Self::JointFault { joints, state } => {
+                write_numbers(f, "joint", *joints)?;
+                f.write_str(match state {
+                    JointState::Good => " good",
+                    JointState::Missing => " no answer",
+                    JointState::BadCheck => " wrong check bits",
+                })
+            }
             Self::JointsGood => f.write_str("all joint angles good again"),
             Self::ChipReset { total } => {
                 write!(f, "converter reset and set up again ({total} so far)")
@@ -160,11 +185,18 @@ impl defmt::Format for Event {
             Self::FaultRestart { address } => {
                 defmt::write!(f, "restarted after a fault at {=u32:#010x}", address)
             }
-            Self::GaugeFault { gauge, flags } => {
-                defmt::write!(f, "gauge {=u8} faulty, flags {=u8:b}", gauge, flags.bits())
+            Self::GaugeFault { gauges, flag } => {
+                defmt::write!(
+                    f,
+                    "gauges {=u8:08b} faulty, flag {=u8:05b}",
+                    gauges,
+                    flag.bits()
+                )
             }
             Self::GaugesGood => defmt::write!(f, "gauges good"),
-            Self::JointFault { joint } => defmt::write!(f, "joint {=u8} faulty", joint),
+            Self::JointFault { joints, state } => {
+                defmt::write!(f, "joints {=u8:03b} faulty: {}", joints, state)
+            }
             Self::JointsGood => defmt::write!(f, "joints good"),
             Self::ChipReset { total } => defmt::write!(f, "chip reset, {=u32} so far", total),
             Self::Overrun { periods } => defmt::write!(f, "overrun of {=u32} periods", periods),

@@ -16,6 +16,7 @@
 //!
 //! commands   requests from the host, each done once
 //! store      the calibration, in two slots
+//! restart    last words, and what the watchdog is fed for
 //! board      all of it: tick(now), receive(bytes, now), take_frame(now)
 //! ```
 //! # A board on the host
@@ -62,9 +63,11 @@
 
 pub mod board;
 mod commands;
+mod cut_off;
 pub mod event;
 pub mod front_end;
 pub mod queue;
+pub mod restart;
 mod sampling;
 pub mod sensing;
 pub mod store;

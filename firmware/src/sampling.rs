@@ -4,7 +4,9 @@
 use crate::board::Board;
 use crate::commands::PendingReply;
 use crate::event::Event;
-use crate::front_end::{GaugeFrontEnd, GaugeSample, JointFrontEnd, JointSample, JointState};
+use crate::front_end::{
+    GaugeFrontEnd, GaugeSample, JOINTS, JointFrontEnd, JointSample, JointState,
+};
 use crate::sensing::contact::ContactSolution;
 use crate::sensing::uncertainty::WrenchNoise;
 use crate::sensing::validity::ContactGate;
@@ -50,7 +52,7 @@ pub(crate) struct Sampling {
     last_time_us: u64,
     unchanged: [u16; MAX_GAUGES],
     faulty: [GaugeFlags; MAX_GAUGES],
-    joint_faulty: bool,
+    joint_states: [JointState; JOINTS],
     chip_resets: u32,
     until_contact: u8,
     until_raw: u8,
@@ -73,7 +75,7 @@ impl Sampling {
             last_time_us: 0,
             unchanged: [0; MAX_GAUGES],
             faulty: [GaugeFlags::none(); MAX_GAUGES],
-            joint_faulty: false,
+            joint_states: [JointState::Good; JOINTS],
             chip_resets: 0,
             until_contact: 0,
             until_raw: 0,
@@ -314,24 +316,27 @@ impl<G: GaugeFrontEnd, J: JointFrontEnd, S: CalibrationStore> Board<G, J, S> {
     }
 
     /// Tells of gauges that went bad, of all being good again, and of chips found reset. While a gauge stays bad, each
-    /// of its flags is told once.
+    /// of its flags is told once; gauges with the same new flag are told together.
     fn note_faults(&mut self, flags: &[GaugeFlags; MAX_GAUGES], now_us: u64) {
-        let was_faulty = self.sampling.faulty.iter().any(|flags| !flags.is_good());
-        for gauge in 0..self.sampling.gauges {
-            let told = self.sampling.faulty[gauge];
-            if !told.contains(flags[gauge]) {
-                self.note(
-                    Event::GaugeFault {
-                        gauge: gauge as u8,
-                        flags: flags[gauge],
-                    },
-                    now_us,
-                );
+        let told = self.sampling.faulty;
+        let gauges = self.sampling.gauges;
+        let is_new = |gauge: usize| !told[gauge].contains(flags[gauge]);
+        if (0..gauges).any(is_new) {
+            for (flag, _) in GaugeFlags::NAMES {
+                let bits = (0..gauges)
+                    .filter(|&gauge| flags[gauge].contains(flag) && !told[gauge].contains(flag))
+                    .fold(0_u8, |bits, gauge| bits | 1 << gauge);
+                if bits != 0 {
+                    self.note(Event::GaugeFault { gauges: bits, flag }, now_us);
+                }
             }
+        }
+        let was_faulty = told.iter().any(|flags| !flags.is_good());
+        for gauge in 0..gauges {
             self.sampling.faulty[gauge] = if flags[gauge].is_good() {
                 GaugeFlags::none()
             } else {
-                told.union(flags[gauge])
+                told[gauge].union(flags[gauge])
             };
         }
         if was_faulty && self.sampling.faulty.iter().all(|flags| flags.is_good()) {
@@ -346,22 +351,35 @@ impl<G: GaugeFrontEnd, J: JointFrontEnd, S: CalibrationStore> Board<G, J, S> {
 
     fn judge_joints(&mut self, joints: &JointSample, now_us: u64) -> ContactFlags {
         let mut flags = ContactFlags::none();
-        let bad = joints
-            .states
-            .iter()
-            .position(|&state| state != JointState::Good);
-        if bad.is_some() {
+        let is_good = |states: &[JointState; JOINTS]| *states == [JointState::Good; JOINTS];
+        if !is_good(&joints.states) {
             flags.insert(ContactFlags::JOINT_INVALID);
             self.counters.joint_errors = self.counters.joint_errors.wrapping_add(1);
         } else if now_us.saturating_sub(joints.time_us) > u64::from(self.config.period_us) * 3 / 2 {
             flags.insert(ContactFlags::JOINT_LATE);
         }
-        if let (Some(joint), false) = (bad, self.sampling.joint_faulty) {
-            self.note(Event::JointFault { joint: joint as u8 }, now_us);
-        } else if bad.is_none() && self.sampling.joint_faulty {
+        // A joint is told when it goes bad, and when it becomes bad in another way.
+        let told = core::mem::replace(&mut self.sampling.joint_states, joints.states);
+        if told == joints.states {
+            return flags;
+        }
+        for state in [JointState::Missing, JointState::BadCheck] {
+            let bits = (0..JOINTS)
+                .filter(|&joint| joints.states[joint] == state && told[joint] != state)
+                .fold(0_u8, |bits, joint| bits | 1 << joint);
+            if bits != 0 {
+                self.note(
+                    Event::JointFault {
+                        joints: bits,
+                        state,
+                    },
+                    now_us,
+                );
+            }
+        }
+        if is_good(&joints.states) {
             self.note(Event::JointsGood, now_us);
         }
-        self.sampling.joint_faulty = bad.is_some();
         flags
     }
 

@@ -3,11 +3,21 @@
 use palpus_tests::emulator::{Board, command};
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
-use std::process::Stdio;
+use std::process::{Child, Stdio};
 
 /// SysTicks of the emulated core (168 MHz) to instructions at 1 ns each.
 fn instructions(systicks: f64) -> f64 {
     systicks * 1e9 / 168e6
+}
+
+/// Ended with the test, however the test ends.
+struct Emulator(Child);
+
+impl Drop for Emulator {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }
 
 /// Mean and largest instructions per part.
@@ -18,24 +28,26 @@ fn count() -> BTreeMap<String, (f64, f64)> {
         "{} is missing: run firmware/build first",
         image.display()
     );
-    let mut child = command()
-        .args([
-            "-M",
-            "olimex-stm32-h405",
-            "-display",
-            "none",
-            "-monitor",
-            "none",
-            "-serial",
-            "stdio",
-        ])
-        .args(["-icount", "shift=0,sleep=off", "-kernel"])
-        .arg(&image)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .spawn()
-        .expect("qemu-system-arm: run tests/setup first");
-    let output = BufReader::new(child.stdout.take().expect("its output"));
+    let mut emulator = Emulator(
+        command()
+            .args([
+                "-M",
+                "olimex-stm32-h405",
+                "-display",
+                "none",
+                "-monitor",
+                "none",
+                "-serial",
+                "stdio",
+            ])
+            .args(["-icount", "shift=0,sleep=off", "-kernel"])
+            .arg(&image)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("qemu-system-arm: run tests/setup first"),
+    );
+    let output = BufReader::new(emulator.0.stdout.take().expect("its output"));
     let mut counts = BTreeMap::new();
     for line in output.lines() {
         let line = line.expect("text");
@@ -55,8 +67,6 @@ fn count() -> BTreeMap<String, (f64, f64)> {
             ),
         );
     }
-    child.kill().expect("the emulator ends");
-    child.wait().expect("the emulator ends");
     counts
 }
 

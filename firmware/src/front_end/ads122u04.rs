@@ -10,14 +10,20 @@
 //! when time is left, one configuration register is read back, another in each period. At 115 200 Bd the two channels take
 //! 2 x (5 bytes + 0.52 ms + 2 bytes + 6 bytes) = 3.3 ms and the read-back 0.43 ms.
 //!
+//! A result is taken when the chip's counter says that all conversions started since the last one taken have ended: not that of another
+//! channel which was never read, and no answer that came too late. Where that can't be known (after a set-up, or when conversions did not
+//! end), the data are read once right after a start, which stops whatever still ran: that gives the counter that the new result follows. It
+//! takes no time of its own, since the conversion runs meanwhile. When periods go on ending badly, one begins with the read-back of a register.
+//!
 //! # What it detects
 //!
 //! | what happened | seen by | then |
 //! |---|---|---|
-//! | chip reset in mid-run | answers have the length of a chip without check sums, or a read-back register differs | counted, set up again in the next period |
+//! | chip reset in mid-run | an answer ends after the length of a chip without check sums, or a read-back register differs | counted, set up again in the next period |
 //! | chip missing or silent | no answer by the period's end | channels missing; a reset is tried every period |
 //! | bad bytes | CRC of the answer | read again (the chip keeps the result); counted |
-//! | bytes that nobody asked for (noise, an answer from before) | no answer is due | period given up, the chip is asked for a register before the next |
+//! | bytes that nobody asked for (noise, an answer from before) | no answer is due | counted and dropped |
+//! | conversions slower than expected | the result counter | up to a third longer: nothing, since the question takes its time; beyond: read again |
 //! | conversions stand still | the result counter | read again, then late, after [`STALLED_LIMIT`] periods a reset |
 //! | gauge saturated | count at the end of the range | flagged, and looked at again at gain 1 |
 //! | bridge open | with 10 uA of burn-out current at gain 1, more than [`OPEN_LIMIT_COUNTS`] | flagged open |
@@ -48,8 +54,17 @@ pub const OPEN_LIMIT_COUNTS: i32 = 254_200;
 /// Periods without a new conversion after which the chip is reset.
 pub const STALLED_LIMIT: u8 = 3;
 
+/// Periods in a row that end badly before one begins with the read-back of a register.
+const BAD_BEFORE_PROBING: u8 = 3;
+
+/// Conversions without a result after which the counter is learned anew; it has eight bits.
+const UNREAD_LIMIT: u8 = 100;
+
 /// Periods between two looks at a saturated channel.
 const LOOK_EVERY: u8 = 20;
+
+/// Silence, in bytes of line time, after which an answer has ended, however short it is.
+const ANSWER_PAUSE_BYTES: u64 = 4;
 
 /// Most bytes of an answer: counter, three of data, two of CRC.
 const ANSWER_BYTES: usize = 6;
@@ -90,8 +105,8 @@ pub struct Timing {
     /// One byte on the line, rounded up: 87 at 115 200 Bd.
     pub byte_us: u32,
     /// One conversion. The data sheet gives 1 065 clocks of 2.048 MHz for a single shot in turbo mode, which is 0.52 ms; its
-    /// clock is good to 2 %. Not confirmed: the table does not agree with itself on these modes, so half a conversion more is allowed
-    /// by reading again.
+    /// clock is good to 2 %. Not confirmed: the table does not agree with itself on these modes, so a chip that is not ready is asked
+    /// again.
     pub conversion_us: u32,
     /// From the start of a period to the moment at which an answer is no longer waited for.
     pub give_up_us: u32,
@@ -147,6 +162,8 @@ enum State {
     Resetting { until_us: u64 },
     /// Registers were written; one of them is being read back, by index into [`READ_BACK`].
     SettingUp { index: usize },
+    /// A conversion has been started, and the result before it was asked for.
+    Learning { channel: usize, until_us: u64 },
     /// A conversion is running.
     Converting { channel: usize, until_us: u64 },
     /// A result was asked for.
@@ -155,8 +172,8 @@ enum State {
     Waiting { channel: usize, until_us: u64 },
     /// A register is being read back after the results, by index into [`READ_BACK`].
     Checking { index: usize },
-    /// A register is being read back before the conversions, because the last period ended badly.
-    Probing,
+    /// A register is being read back before the conversions, because the last periods ended badly.
+    Probing { index: usize },
 }
 
 /// Driver of one ADS122U04 with two gauges.
@@ -165,12 +182,19 @@ pub struct Ads122u04 {
     timing: Timing,
     state: State,
     configured: bool,
-    doubtful: bool,
+    /// Periods in a row that ended badly.
+    ended_badly: u8,
     crc_reversed: bool,
     period_us: u64,
     answer: Vec<u8, ANSWER_BYTES>,
+    last_byte_us: u64,
     tries: u8,
+    /// Counter of the last result that was taken; `None` where it says nothing.
     last_counter: Option<u8>,
+    /// Conversions started since.
+    unread: u8,
+    /// Whether the counter was learned in this period.
+    learned: bool,
     stalled: u8,
     next_check: usize,
     readings: [ChannelReading; CHANNELS],
@@ -201,12 +225,15 @@ impl Ads122u04 {
             timing,
             state: State::Idle,
             configured: false,
-            doubtful: false,
+            ended_badly: 0,
             crc_reversed: false,
             period_us: 0,
             answer: Vec::new(),
+            last_byte_us: 0,
             tries: 0,
             last_counter: None,
+            unread: 0,
+            learned: false,
             stalled: 0,
             next_check: 0,
             readings: [NONE; CHANNELS],
@@ -257,9 +284,10 @@ impl Ads122u04 {
             | State::Converting { until_us, .. }
             | State::Waiting { until_us, .. } => Some(until_us),
             State::SettingUp { .. }
+            | State::Learning { .. }
             | State::Reading { .. }
             | State::Checking { .. }
-            | State::Probing => Some(self.give_up_us()),
+            | State::Probing { .. } => Some(self.give_up_us()),
         }
     }
 
@@ -274,17 +302,22 @@ impl Ads122u04 {
     /// Starts a period: what is left of the last one is given up.
     pub fn begin(&mut self, now_us: u64, out: &mut Outgoing) {
         if !self.is_finished() {
-            self.give_up();
+            self.give_up(now_us);
         }
         self.period_us = now_us;
         self.fresh = [false; CHANNELS];
         self.tries = 0;
         self.looking = None;
+        self.learned = false;
         if !self.configured {
             self.reset(now_us, out);
-        } else if self.doubtful {
-            self.doubtful = false;
-            self.ask(State::Probing, &[SYNC, read_register(2)], out);
+        } else if self.ended_badly >= BAD_BEFORE_PROBING {
+            self.ended_badly = 0;
+            // In turn too; but the last, register 0, may be anything where a period ended badly.
+            let index = self.next_check % (READ_BACK.len() - 1);
+            self.next_check = index + 1;
+            let question = [SYNC, read_register(READ_BACK[index])];
+            self.ask(State::Probing { index }, &question, out);
         } else {
             self.convert(0, now_us, out);
         }
@@ -309,17 +342,21 @@ impl Ads122u04 {
     /// Takes one byte from the line.
     pub fn receive(&mut self, byte: u8, now_us: u64, out: &mut Outgoing) {
         let expected = match self.state {
-            State::Reading { .. } => ANSWER_BYTES,
-            State::SettingUp { .. } | State::Checking { .. } | State::Probing => 3,
+            State::Learning { .. } | State::Reading { .. } => ANSWER_BYTES,
+            State::SettingUp { .. } | State::Checking { .. } | State::Probing { .. } => 3,
             State::Resetting { .. } => return,
-            // Nothing was asked: the rest of an answer that came too late, or noise. Whatever is in step with the chip now
-            // may not be, so the next period begins by asking for a register.
+            // Nothing was asked: the rest of an answer that came too late, or noise.
             State::Idle | State::Converting { .. } | State::Waiting { .. } => {
                 self.counters.strays = self.counters.strays.wrapping_add(1);
-                self.abandon();
+                if self.learned {
+                    // It may be the answer that the counter should have been learned from.
+                    self.last_counter = None;
+                    self.abandon();
+                }
                 return;
             }
         };
+        self.last_byte_us = now_us;
         if self.answer.push(byte).is_err() || self.answer.len() < expected {
             return;
         }
@@ -344,26 +381,34 @@ impl Ads122u04 {
                 self.counters.check_errors = self.counters.check_errors.wrapping_add(1);
                 self.again(channel, now_us, out);
             }
+            State::Learning { channel, until_us } if good => {
+                self.last_counter = Some(self.answer[0]);
+                self.unread = 1;
+                self.learned = true;
+                self.state = State::Converting { channel, until_us };
+            }
+            State::Learning { .. } => {
+                self.counters.check_errors = self.counters.check_errors.wrapping_add(1);
+                self.abandon();
+            }
             State::SettingUp { index } => self.set_up_answer(index, good, now_us, out),
             State::Checking { index } => {
                 if !good {
                     self.counters.check_errors = self.counters.check_errors.wrapping_add(1);
-                    self.doubtful = true;
                 } else if !self.holds(READ_BACK[index], self.answer[0]) {
                     self.lost();
                 }
                 self.state = State::Idle;
             }
-            State::Probing => {
-                if good && self.holds(2, self.answer[0]) {
+            State::Probing { index } => {
+                if good && self.holds(READ_BACK[index], self.answer[0]) {
                     self.convert(0, now_us, out);
                 } else if good {
                     self.lost();
                     self.reset(now_us, out);
                 } else {
                     self.counters.check_errors = self.counters.check_errors.wrapping_add(1);
-                    self.doubtful = true;
-                    self.state = State::Idle;
+                    self.abandon();
                 }
             }
             State::Idle
@@ -385,10 +430,11 @@ impl Ads122u04 {
                 self.ask(State::Reading { channel }, &[SYNC, READ_DATA], out);
             }
             State::SettingUp { .. }
+            | State::Learning { .. }
             | State::Reading { .. }
             | State::Checking { .. }
-            | State::Probing => {
-                self.give_up();
+            | State::Probing { .. } => {
+                self.give_up(now_us);
             }
         }
     }
@@ -463,7 +509,6 @@ impl Ads122u04 {
 
     fn convert(&mut self, channel: usize, now_us: u64, out: &mut Outgoing) {
         let look = &mut self.look[channel];
-        let mut bytes = 5;
         let mut register_0 = MULTIPLEXER[channel] | GAIN_128;
         if look.wanted && look.wait == 0 && self.looking.is_none() {
             look.wanted = false;
@@ -471,16 +516,22 @@ impl Ads122u04 {
             self.looking = Some(channel);
             register_0 = MULTIPLEXER[channel];
             send(&[SYNC, write_register(2), REGISTER_2 | BURN_OUT], out);
-            bytes += 3;
         } else {
             look.wait = look.wait.saturating_sub(1);
         }
         // Writing the register alone would not start a single shot.
         send(&[SYNC, write_register(0), register_0, SYNC, START], out);
-        self.readings[channel].started_us = now_us + self.line_us(bytes);
-        let until_us = now_us + self.line_us(bytes) + u64::from(self.timing.conversion_us);
+        let started_us = now_us + self.line_us(out.len() as u64);
+        let until_us = started_us + u64::from(self.timing.conversion_us);
+        self.readings[channel].started_us = started_us;
         self.tries = 0;
-        self.state = State::Converting { channel, until_us };
+        self.unread = self.unread.saturating_add(1);
+        if self.last_counter.is_some() && self.unread < UNREAD_LIMIT {
+            self.state = State::Converting { channel, until_us };
+        } else {
+            let learning = State::Learning { channel, until_us };
+            self.ask(learning, &[SYNC, READ_DATA], out);
+        }
     }
 
     fn result(
@@ -491,12 +542,21 @@ impl Ads122u04 {
         now_us: u64,
         out: &mut Outgoing,
     ) {
-        if self.last_counter == Some(counter) {
+        let ended = counter.wrapping_sub(self.last_counter.unwrap_or(counter));
+        if ended < self.unread {
             self.counters.not_ready = self.counters.not_ready.wrapping_add(1);
             self.again(channel, now_us, out);
             return;
         }
+        if ended > self.unread {
+            // The chip has converted what nobody asked for.
+            self.last_counter = None;
+            self.abandon();
+            return;
+        }
         self.last_counter = Some(counter);
+        self.unread = 0;
+        self.learned = false;
         self.stalled = 0;
         if self.looking == Some(channel) {
             self.look[channel].open = counts.abs() > OPEN_LIMIT_COUNTS;
@@ -533,6 +593,7 @@ impl Ads122u04 {
             self.convert(channel + 1, now_us, out);
             return;
         }
+        self.ended_badly = 0;
         // Question and answer are five bytes; a byte or two more may be waiting on the line.
         if now_us + self.line_us(8) < self.give_up_us() && self.looking.is_none() {
             let index = self.next_check;
@@ -556,12 +617,20 @@ impl Ads122u04 {
             };
             return;
         }
-        self.stalled += 1;
+        self.stall();
+        if self.configured {
+            self.advance(channel, now_us, out);
+        } else {
+            self.state = State::Idle;
+        }
+    }
+
+    /// Notes that the chip answers and has nothing to say.
+    fn stall(&mut self) {
+        self.last_counter = None;
+        self.stalled = self.stalled.saturating_add(1);
         if self.stalled >= STALLED_LIMIT {
             self.lost();
-            self.state = State::Idle;
-        } else {
-            self.advance(channel, now_us, out);
         }
     }
 
@@ -572,22 +641,31 @@ impl Ads122u04 {
     }
 
     /// Ends a period in which an answer stayed out.
-    fn give_up(&mut self) {
+    fn give_up(&mut self, now_us: u64) {
         self.counters.timeouts = self.counters.timeouts.wrapping_add(1);
+        // The bytes of an answer follow each other; one that pauses has ended.
+        let ended = now_us >= self.last_byte_us + self.line_us(ANSWER_PAUSE_BYTES);
         match self.state {
             // A chip with its registers at 0 answers with the register alone, without a check sum.
-            State::Probing if self.answer.len() == 1 => self.lost(),
+            State::Probing { .. } | State::Checking { .. } if ended && self.answer.len() == 1 => {
+                self.lost();
+            }
             // Likewise its three bytes of data.
-            State::Reading { .. } if self.answer.len() == 3 => self.lost(),
-            State::Probing | State::SettingUp { .. } => self.configured = false,
+            State::Reading { .. } | State::Learning { .. } if ended && self.answer.len() == 3 => {
+                self.lost();
+            }
+            State::Reading { .. } | State::Waiting { .. } if self.tries > 0 => self.stall(),
+            // Not even the first answer of the period came.
+            State::Learning { .. } if self.answer.is_empty() => self.configured = false,
+            State::Probing { .. } | State::SettingUp { .. } => self.configured = false,
             _ => {}
         }
         self.abandon();
     }
 
-    /// Ends the period where it stands; the next one begins by asking for a register.
+    /// Ends the period where it stands. What the chip still has to say is not known.
     fn abandon(&mut self) {
-        self.doubtful = true;
+        self.ended_badly = self.ended_badly.saturating_add(1);
         if self.looking.is_some() {
             // The burn-out currents may still be on.
             self.configured = false;

@@ -6,10 +6,14 @@
 //!
 //! A question is the encoder's address; the answer is two bytes, low byte first: 14 bits of position and two check bits,
 //! each the inverse of the exclusive or of one half of the position's bits. An answer with wrong check bits is asked for
-//! once more.
+//! once more, after the bus has been silent for a while: what still comes belongs to what was wrong.
+//!
+//! Two check bits let one in four pass of what is no answer at all. But then the true answer comes too, and is one too many: a byte that
+//! comes when none is due makes what was read before in the same round doubtful.
 //!
 //! An answer does not say whose it is. So after an encoder stayed silent, or a byte came that nobody had asked for, the bus is left alone for
 //! [`QUIET_PERIODS`] periods, long enough for whatever is under way to end; an answer that comes too late can't be taken for another encoder's.
+//! The next round then begins behind the silent encoder, so that one that is dead does not hide the others.
 //!
 //! Source: AMT21 data sheet, sections "serial interface" and "checksum".
 
@@ -44,11 +48,16 @@ pub enum EncoderFault {
 pub struct Timing {
     /// From the start of a period to the moment at which no answer is waited for any more.
     pub give_up_us: u32,
+    /// Silence after wrong check bits; longer than a question and its answer.
+    pub silence_us: u32,
 }
 
 impl Timing {
     /// 115 200 Bd, 200 Hz: a question and its answer take 0.28 ms.
-    pub const AT_115200: Self = Self { give_up_us: 4_200 };
+    pub const AT_115200: Self = Self {
+        give_up_us: 4_200,
+        silence_us: 350,
+    };
 }
 
 /// What the driver has counted since it was made. Counters wrap.
@@ -68,11 +77,15 @@ pub struct Amt21Bus {
     addresses: [u8; JOINTS],
     timing: Timing,
     period_us: u64,
-    /// The encoder that was asked; `JOINTS` when all have been.
-    asked: usize,
+    /// The encoder that a round begins with: the base joint's, after a whole round.
+    first: usize,
+    /// Encoders of this round that are done; `JOINTS` when all are.
+    done: usize,
     tries: u8,
     quiet: u8,
     low: Option<u8>,
+    /// After wrong check bits: when the bus will have been silent for long enough.
+    silent_us: Option<u64>,
     results: [Result<u16, EncoderFault>; JOINTS],
     counters: Counters,
 }
@@ -84,10 +97,12 @@ impl Amt21Bus {
             addresses,
             timing,
             period_us: 0,
-            asked: JOINTS,
+            first: 0,
+            done: JOINTS,
             tries: 0,
             quiet: 0,
             low: None,
+            silent_us: None,
             results: [Err(EncoderFault::NotAsked); JOINTS],
             counters: Counters {
                 check_errors: 0,
@@ -104,7 +119,12 @@ impl Amt21Bus {
 
     /// Whether every encoder has answered or been given up.
     pub const fn is_finished(&self) -> bool {
-        self.asked >= JOINTS
+        self.done >= JOINTS
+    }
+
+    /// The encoder whose turn it is.
+    const fn asked(&self) -> usize {
+        (self.first + self.done) % JOINTS
     }
 
     /// The time at which [`Amt21Bus::elapse`] wants to be called; `None` while nothing runs.
@@ -112,7 +132,14 @@ impl Amt21Bus {
         if self.is_finished() {
             return None;
         }
-        Some(self.period_us + self.timing.give_up_us as u64)
+        match self.silent_us {
+            Some(silent_us) if silent_us < self.give_up_us() => Some(silent_us),
+            _ => Some(self.give_up_us()),
+        }
+    }
+
+    const fn give_up_us(&self) -> u64 {
+        self.period_us + self.timing.give_up_us as u64
     }
 
     /// Starts a period: all encoders are asked again, unless the bus is left alone.
@@ -126,21 +153,29 @@ impl Amt21Bus {
             return;
         }
         self.period_us = now_us;
-        self.asked = 0;
+        self.done = 0;
         self.tries = 0;
         self.ask(out);
     }
 
-    /// The steps of each joint in this period, 0 to [`STEPS_PER_TURN`] - 1.
-    pub const fn take(&self) -> [Result<u16, EncoderFault>; JOINTS] {
+    /// Ends a period and gives the steps of each joint, 0 to [`STEPS_PER_TURN`] - 1.
+    pub fn take(&mut self) -> [Result<u16, EncoderFault>; JOINTS] {
+        if !self.is_finished() {
+            self.give_up();
+        }
         self.results
     }
 
     /// Takes one byte from the bus.
-    pub fn receive(&mut self, byte: u8, out: &mut Outgoing) {
+    pub fn receive(&mut self, byte: u8, now_us: u64, out: &mut Outgoing) {
         if self.is_finished() {
-            self.counters.strays = self.counters.strays.wrapping_add(1);
             self.quiet = QUIET_PERIODS;
+            self.doubt();
+            return;
+        }
+        if self.silent_us.is_some() {
+            self.await_silence(now_us);
+            self.doubt();
             return;
         }
         let Some(low) = self.low.take() else {
@@ -149,52 +184,70 @@ impl Amt21Bus {
         };
         match position(u16::from_le_bytes([low, byte])) {
             Some(steps) => {
-                self.results[self.asked] = Ok(steps);
+                self.results[self.asked()] = Ok(steps);
                 self.next(out);
             }
             None => {
                 self.counters.check_errors = self.counters.check_errors.wrapping_add(1);
-                self.results[self.asked] = Err(EncoderFault::CheckBits);
+                self.results[self.asked()] = Err(EncoderFault::CheckBits);
                 self.tries += 1;
-                if self.tries < TRIES {
-                    self.ask(out);
-                } else {
-                    self.next(out);
-                }
+                self.await_silence(now_us);
             }
         }
     }
 
-    /// Gives the round up when its time is over.
-    pub fn elapse(&mut self, now_us: u64) {
-        if self
-            .deadline_us()
-            .is_some_and(|deadline| now_us >= deadline)
-        {
+    /// Notes a byte that nobody had asked for: what was read in this round may be out of step.
+    fn doubt(&mut self) {
+        self.counters.strays = self.counters.strays.wrapping_add(1);
+        for result in &mut self.results {
+            *result = result.and(Err(EncoderFault::CheckBits));
+        }
+    }
+
+    fn await_silence(&mut self, now_us: u64) {
+        self.silent_us = Some(now_us + u64::from(self.timing.silence_us));
+    }
+
+    /// Does what is due at `now_us`; to be called at [`Amt21Bus::deadline_us`] or later.
+    pub fn elapse(&mut self, now_us: u64, out: &mut Outgoing) {
+        if self.deadline_us().is_none_or(|deadline| now_us < deadline) {
+            return;
+        }
+        if now_us >= self.give_up_us() {
             self.give_up();
+        } else if self.tries < TRIES {
+            self.ask(out);
+        } else {
+            self.next(out);
         }
     }
 
     fn give_up(&mut self) {
         self.counters.timeouts = self.counters.timeouts.wrapping_add(1);
-        if self.results[self.asked] == Err(EncoderFault::NotAsked) {
-            self.results[self.asked] = Err(EncoderFault::Silent);
+        let silent = self.asked();
+        if self.results[silent] == Err(EncoderFault::NotAsked) {
+            self.results[silent] = Err(EncoderFault::Silent);
         }
-        self.asked = JOINTS;
+        self.first = (silent + 1) % JOINTS;
+        self.done = JOINTS;
         self.quiet = QUIET_PERIODS;
     }
 
     fn next(&mut self, out: &mut Outgoing) {
-        self.asked += 1;
+        self.done += 1;
         self.tries = 0;
+        if self.is_finished() {
+            self.first = 0;
+        }
         self.ask(out);
     }
 
     fn ask(&mut self, out: &mut Outgoing) {
         self.low = None;
-        if let Some(&address) = self.addresses.get(self.asked) {
+        self.silent_us = None;
+        if !self.is_finished() {
             // One byte into an empty buffer.
-            let _ = out.push(address);
+            let _ = out.push(self.addresses[self.asked()]);
         }
     }
 }

@@ -164,15 +164,17 @@ impl<L: SerialLine> EncoderBus<L> {
     }
 
     /// Takes a byte that came on the line.
-    pub fn receive(&mut self, byte: u8) {
+    pub fn receive(&mut self, byte: u8, now_us: u64) {
         let mut out = amt21::Outgoing::new();
-        self.bus.receive(byte, &mut out);
+        self.bus.receive(byte, now_us, &mut out);
         transmit(&mut self.line, &out);
     }
 
     /// Does what is due.
     pub fn elapse(&mut self, now_us: u64) {
-        self.bus.elapse(now_us);
+        let mut out = amt21::Outgoing::new();
+        self.bus.elapse(now_us, &mut out);
+        transmit(&mut self.line, &out);
     }
 
     /// What the driver has counted.

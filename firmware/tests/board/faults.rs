@@ -71,6 +71,26 @@ fn every_gauge_fault_is_a_reason_a_count_and_a_line_and_passes() {
 }
 
 #[test]
+fn gauges_that_fail_together_are_told_together_and_once() {
+    let mut bench = Bench::<RamStore>::ready();
+    bench.run(1);
+    for gauge in 0..6 {
+        bench.board.gauges_mut().flags[gauge] = GaugeFlags::LATE;
+    }
+    bench.board.gauges_mut().flags[3] = GaugeFlags::LATE.union(GaugeFlags::SATURATED);
+    bench.run(5);
+    bench.board.gauges_mut().flags[2] = GaugeFlags::MISSING;
+    bench.run(5);
+    let told = [
+        "gauge 3: saturated",
+        "gauges 0 1 2 3 4 5: late",
+        "gauge 2: missing",
+    ];
+    let lines = bench.logs();
+    assert_eq!(lines[lines.len() - told.len()..], told);
+}
+
+#[test]
 fn the_board_itself_sees_stuck_and_late_gauges() {
     let mut bench = Bench::<RamStore>::ready();
     bench.board.gauges_mut().noise = 0;
@@ -146,12 +166,24 @@ fn joint_faults_are_reasons_and_pass() {
         );
     }
     assert_eq!(bench.board.statistics(0, 0).joint_errors, 8);
-    assert!(
-        bench
-            .logs()
-            .iter()
-            .any(|line| line == "joint 1: no good angle")
-    );
+    // Two joints at once are one line; one that goes on being bad is not told again.
+    for _ in 0..3 {
+        bench.board.joints_mut().0.states =
+            [JointState::BadCheck, JointState::Good, JointState::BadCheck];
+        bench.run(1);
+    }
+    bench.board.joints_mut().0.states[2] = JointState::Missing;
+    bench.run(1);
+    let told = [
+        "joint 1: no answer",
+        "all joint angles good again",
+        "joint 1: wrong check bits",
+        "all joint angles good again",
+        "joints 0 2: wrong check bits",
+        "joint 2: no answer",
+    ];
+    let lines = bench.logs();
+    assert_eq!(lines[lines.len() - told.len()..], told);
 }
 
 #[test]

@@ -44,7 +44,7 @@ pub const STEADY_RATE_HZ: f64 = 10.0;
 pub const START_US: i64 = 10_000_000;
 /// Most round trips kept: more than both rates fill the window with.
 const MAX_ROUND_TRIPS: usize = 1_200;
-/// A round trip whose bounds miss the line by more than this contradicts it.
+/// A round trip whose bounds miss every line that the window allows by more than this contradicts it.
 const CONTRADICTION_US: f64 = 3_000.0;
 /// So many contradicting round trips in a row mean that one of the clocks was set, not that one answer
 /// was mismatched.
@@ -96,6 +96,8 @@ pub struct ClockFit {
     pub drift: f64,
     /// Half of the room between the bounds: no error is larger as long as the rate is right.
     pub bound_us: f64,
+    /// How far below and above this line the window allows others of the same rate, microseconds.
+    room_us: (f64, f64),
     /// Round trips in the window.
     pub round_trips: usize,
     /// Time between the first and the last of them on the board's clock.
@@ -192,7 +194,9 @@ impl ClockFilter {
         ClockEvent::Kept
     }
 
-    /// By how far the line passes outside the bounds of a round trip: positive above, negative below.
+    /// By how far all lines that the window allows pass outside the bounds of a round trip: positive above,
+    /// negative below. After slow answers the room is wide and the line somewhere in it: a quick answer that
+    /// moves the line within its room contradicts nothing.
     fn miss_us(&self, trip: &RoundTrip) -> f64 {
         let Some(fit) = &self.fit else {
             return 0.0;
@@ -204,9 +208,9 @@ impl ClockFilter {
             .host_us(trip.board_received_us)
             .saturating_sub(trip.sent_us);
         let miss = if above > 0 {
-            above as f64
+            (above as f64 - fit.room_us.0).max(0.0)
         } else if below < 0 {
-            below as f64
+            (below as f64 + fit.room_us.1).min(0.0)
         } else {
             0.0
         };
@@ -355,12 +359,14 @@ fn fit(window: &VecDeque<RoundTrip>) -> Option<ClockFit> {
         let (low, high) = bounds.room(widest);
         (widest, 0.5 * (low + high))
     };
+    let (low, high) = bounds.room(drift);
     Some(ClockFit {
         origin_board_us,
         origin_host_us,
         shift_us,
         drift,
         bound_us: 0.5 * width_us.abs(),
+        room_us: ((shift_us - low).max(0.0), (high - shift_us).max(0.0)),
         round_trips: window.len(),
         span_us: last
             .board_received_us
@@ -505,6 +511,32 @@ mod tests {
         };
         assert!((by_us + 250_000).abs() < 5_000, "jump of {by_us} us");
         assert!(error_us(&filter, &board, NOW + 21.2e6).abs() < 1_000.0);
+    }
+
+    #[test]
+    fn quick_answers_after_a_slow_one_are_no_contradiction() {
+        // The board's clock is the host's. One way of the first round trip takes long, or the other.
+        for (out, back) in [(90_000, 500), (500, 90_000)] {
+            let mut filter = ClockFilter::new();
+            let slow = RoundTrip {
+                sent_us: 0,
+                board_received_us: out,
+                board_sent_us: out,
+                received_us: out + back,
+            };
+            assert_eq!(filter.add(slow), ClockEvent::Kept);
+            for start_us in (1..20).map(|k| 100_000 * k) {
+                let quick = RoundTrip {
+                    sent_us: start_us,
+                    board_received_us: start_us + 500,
+                    board_sent_us: start_us + 600,
+                    received_us: start_us + 1_100,
+                };
+                assert_eq!(filter.add(quick), ClockEvent::Kept, "{start_us}");
+            }
+            let fit = filter.fit().expect("round trips were added");
+            assert!(fit.host_us(2_000_000).abs_diff(2_000_000) < 600);
+        }
     }
 
     #[test]

@@ -22,8 +22,10 @@ pub enum ChipFault {
     None,
     /// It does not answer (no power, a broken wire).
     Silent,
-    /// Every n-th answer has one wrong bit.
+    /// Every n-th answer has one wrong bit, each time another one.
     BadBits(u32),
+    /// Conversions take so many per cent longer.
+    Slow(u32),
     /// Conversions never end.
     Stalled,
 }
@@ -51,6 +53,8 @@ pub struct Ads122u04 {
     pub resets_seen: u32,
     /// Conversions finished.
     pub conversions: u32,
+    /// Answers with a wrong bit.
+    pub damaged: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,6 +79,7 @@ impl Default for Ads122u04 {
             stuck_at: [None; 2],
             resets_seen: 0,
             conversions: 0,
+            damaged: 0,
         }
     }
 }
@@ -88,6 +93,13 @@ impl Ads122u04 {
         self.result = 0;
         self.conversion = None;
         self.parser = Parser::Sync;
+    }
+
+    /// Changes bits of a register, as a burst of noise on the supply may do.
+    pub fn upset(&mut self, register: usize, bits: u8) {
+        if let Some(value) = self.registers.get_mut(register) {
+            *value ^= bits;
+        }
     }
 
     /// The channel that the multiplexer selects: 0 for AIN0-AIN1, 1 for AIN2-AIN3.
@@ -166,7 +178,11 @@ impl Ads122u04 {
         let rate = [20, 45, 90, 175, 330, 600, 1_000, 1_000][usize::from(self.registers[1] >> 5)];
         // 1065 modulator clocks at the highest turbo rate, in proportion elsewhere.
         let turbo_us = 520 * 1_000 / rate;
-        if turbo { turbo_us } else { 2 * turbo_us }
+        let conversion_us = if turbo { turbo_us } else { 2 * turbo_us };
+        match self.fault {
+            ChipFault::Slow(per_cent) => conversion_us * u64::from(100 + per_cent) / 100,
+            _ => conversion_us,
+        }
     }
 
     fn start(&mut self, now_us: u64, input: &mut impl FnMut(usize) -> Input) {
@@ -230,7 +246,10 @@ impl Ads122u04 {
         if let ChipFault::BadBits(every) = self.fault
             && self.answers.is_multiple_of(every.max(1))
         {
-            answer[0] ^= 0x04;
+            let place = self.damaged as usize;
+            let bytes = answer.len();
+            answer[place % bytes] ^= 1 << (place % 8);
+            self.damaged += 1;
         }
         answer
     }

@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 pub trait World: Send {
     /// Moves on to a time since the start.
     fn advance(&mut self, time: Duration);
-    /// What stands at a gauge's terminals.
-    fn gauge(&self, gauge: usize) -> Input;
+    /// What a conversion finds at a gauge's terminals.
+    fn gauge(&mut self, gauge: usize) -> Input;
     /// Angle of a joint, rad.
     fn joint_rad(&self, joint: usize) -> f64;
 }
@@ -28,7 +28,7 @@ impl<W: World> World for Arc<Mutex<W>> {
             .advance(time);
     }
 
-    fn gauge(&self, gauge: usize) -> Input {
+    fn gauge(&mut self, gauge: usize) -> Input {
         self.lock()
             .unwrap_or_else(PoisonError::into_inner)
             .gauge(gauge)

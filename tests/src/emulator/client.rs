@@ -1,8 +1,8 @@
 //! A plain client of a board on a serial line: asks, and keeps everything that comes.
 
 use palpus_protocol::{
-    BoardMessage, Command, Contact, Decoder, HostMessage, Identify, Identity, MAX_FRAME_BYTES,
-    Outcome, Request, Statistics, Streams, TimeSyncAnswer, TimeSyncRequest,
+    BoardMessage, Command, Contact, Decoder, GaugeCounts, HostMessage, Identify, Identity,
+    MAX_FRAME_BYTES, Outcome, Request, Statistics, Streams, TimeSyncAnswer, TimeSyncRequest,
 };
 use serialport::TTYPort;
 use std::io::{self, ErrorKind, Read, Write};
@@ -46,6 +46,7 @@ impl Client {
         let stop = Arc::new(AtomicBool::new(false));
         let (kept, stopped) = (Arc::clone(&received), Arc::clone(&stop));
         let thread = std::thread::spawn(move || {
+            super::chips::hurry();
             let mut decoder = Decoder::new();
             let mut bytes = [0_u8; 1024];
             while !stopped.load(Ordering::Relaxed) {
@@ -209,6 +210,26 @@ impl Client {
                 _ => None,
             },
         )
+    }
+
+    /// What the board has counted of each gauge.
+    pub fn gauge_statistics(&mut self) -> io::Result<Vec<GaugeCounts>> {
+        let Statistics {
+            request_id, gauges, ..
+        } = self.statistics()?;
+        self.wait(PATIENCE, |messages| {
+            let mut counts = Vec::new();
+            for message in messages {
+                if let BoardMessage::GaugeStatistics(page) = message
+                    && page.request_id == request_id
+                    && usize::from(page.first) == counts.len()
+                {
+                    counts.extend(page.gauges.iter().copied());
+                }
+            }
+            (counts.len() == usize::from(gauges)).then_some(counts)
+        })
+        .ok_or_else(|| io::Error::new(ErrorKind::TimedOut, "no gauges' statistics"))
     }
 
     /// Compares clocks once; the host's time is that of the caller.

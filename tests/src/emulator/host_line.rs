@@ -1,8 +1,10 @@
 //! The host's end of the board's line, as a pseudo-terminal.
 //!
-//! Like a USB adapter it always takes what the board sends, and drops it when the program behind the terminal does not read.
+//! Like a USB adapter and its driver it always takes what the board sends, keeps [`BUFFER`] bytes of it, and drops the rest when the
+//! program behind the terminal does not read.
 
 use serialport::{SerialPort, TTYPort};
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
@@ -10,6 +12,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
+
+/// Bytes kept for a program that is busy with other things: 1.4 s of contacts.
+pub const BUFFER: usize = 16_384;
 
 /// A pseudo-terminal in front of a board.
 pub struct HostLine {
@@ -59,26 +64,35 @@ impl HostLine {
             }
         });
         let mut from_board = board;
+        from_board.set_read_timeout(Some(Duration::from_millis(20)))?;
         let (lost, noise) = (Arc::clone(&dropped), Arc::clone(&corrupt));
         let receiver = std::thread::spawn(move || {
             super::chips::hurry();
             let mut bytes = [0_u8; 4096];
-            while let Ok(count @ 1..) = from_board.read(&mut bytes) {
-                for byte in &mut bytes[..count] {
-                    if noise.load(Ordering::Relaxed) > 0 {
-                        noise.fetch_sub(1, Ordering::Relaxed);
-                        *byte ^= 0x5a;
-                    }
-                }
-                let mut rest = &bytes[..count];
-                while !rest.is_empty() {
-                    match master.write(rest) {
-                        Ok(written @ 1..) => rest = &rest[written..],
-                        // Nobody reads: the bytes are gone, as on a wire.
-                        _ => {
-                            lost.fetch_add(rest.len() as u64, Ordering::Relaxed);
-                            break;
+            let mut kept: VecDeque<u8> = VecDeque::new();
+            loop {
+                match from_board.read(&mut bytes) {
+                    Ok(0) => break,
+                    Ok(count) => {
+                        for byte in &mut bytes[..count] {
+                            if noise.load(Ordering::Relaxed) > 0 {
+                                noise.fetch_sub(1, Ordering::Relaxed);
+                                *byte ^= 0x5a;
+                            }
                         }
+                        let room = count.min(BUFFER - kept.len());
+                        kept.extend(&bytes[..room]);
+                        lost.fetch_add((count - room) as u64, Ordering::Relaxed);
+                    }
+                    // The board is silent; the program may have made room.
+                    Err(error)
+                        if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+                    Err(_) => break,
+                }
+                while let (front @ [_, ..], _) = kept.as_slices() {
+                    match master.write(front) {
+                        Ok(written @ 1..) => drop(kept.drain(..written)),
+                        _ => break,
                     }
                 }
             }

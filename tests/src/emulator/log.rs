@@ -112,11 +112,15 @@ impl Memory {
     }
 }
 
-/// Address of a symbol of the image.
+/// Address of a symbol of the image: one with this name, or the first whose mangled name holds it.
 pub fn symbol_address(elf: &[u8], name: &str) -> Result<u64, LogError> {
     let file = object::File::parse(elf).map_err(|error| LogError::Elf(error.to_string()))?;
-    file.symbols()
-        .find(|symbol| symbol.name() == Ok(name))
+    let named = |fits: fn(&str, &str) -> bool| {
+        file.symbols()
+            .find(|symbol| symbol.name().is_ok_and(|own| fits(own, name)))
+    };
+    named(|own, name| own == name)
+        .or_else(|| named(|own, name| own.contains(name)))
         .map(|symbol| symbol.address())
         .ok_or_else(|| LogError::Elf(format!("no symbol {name}")))
 }

@@ -298,11 +298,7 @@ impl SlidingFinger {
         self.wrench = Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z);
         let clean = Self::sensitivity() * self.wrench;
         for gauge in 0..6 {
-            // The sum of twelve even ones is close to normal; the last bit always flickers.
-            let normal: f64 = (0..12).map(|_| self.next_random()).sum();
-            let flicker = self.next_random() * 2.0;
-            self.counts[gauge] =
-                clean[gauge] + self.offsets[gauge] + normal * motion.noise_counts + flicker;
+            self.counts[gauge] = clean[gauge] + self.offsets[gauge];
         }
     }
 }
@@ -318,9 +314,14 @@ impl World for SlidingFinger {
         self.place(target);
     }
 
-    fn gauge(&self, gauge: usize) -> Input {
+    fn gauge(&mut self, gauge: usize) -> Input {
         match self.faults[gauge] {
-            GaugeFault::None => Input::Volts(self.counts[gauge] * VOLTS_PER_COUNT),
+            GaugeFault::None => {
+                // The sum of twelve even ones is close to normal; the last bit flickers in every conversion.
+                let normal: f64 = (0..12).map(|_| self.next_random()).sum();
+                let noise = normal * self.motion.noise_counts + self.next_random() * 2.0;
+                Input::Volts((self.counts[gauge] + noise) * VOLTS_PER_COUNT)
+            }
             GaugeFault::Saturated => Input::Volts(30e-3),
             GaugeFault::Open => Input::Open,
         }

@@ -44,14 +44,15 @@ defmt::timestamp!("{=u64:us}", time::now_us());
 mod app {
     use crate::host_port::{HostPort, HostQueues, RECEIVED, TO_SEND};
     use crate::mailbox::{Gauges, Joints};
-    use crate::restart::{self, Cause};
+    use crate::restart;
     use crate::store::FlashStore;
     use crate::uart::{ChipLine, Port};
     use crate::{clock, pins, settings, time, uart, watchdog};
     use heapless::spsc::Queue;
+    use palpus_firmware::Board;
     use palpus_firmware::front_end::serial::{BridgeConverters, EncoderBus};
     use palpus_firmware::front_end::{GaugeFrontEnd, GaugeSample, JointFrontEnd, ads122u04, amt21};
-    use palpus_firmware::{Board, Event};
+    use palpus_firmware::restart::{Cause, Vigil};
     use palpus_protocol::LogLevel;
 
     /// Beats of SysTick in one period.
@@ -60,8 +61,8 @@ mod app {
     /// Ticks that the chips get to come up before the board takes what they say: 0.1 s; the encoders need it.
     const START_TICKS: u8 = 20;
 
-    /// Beats without a finished tick after which the watchdog is not fed any more: 0.1 s.
-    const DEAD_BEATS: u32 = 1_000;
+    /// Beats without a tick or without service of the link after which the watchdog is not fed any more: 0.1 s.
+    const PATIENCE_BEATS: u32 = 1_000;
 
     type FingerBoard = Board<Gauges, Joints, FlashStore>;
 
@@ -70,8 +71,7 @@ mod app {
         converters: BridgeConverters<ChipLine, 3>,
         encoders: EncoderBus<ChipLine>,
         board: FingerBoard,
-        /// Beats since the last finished tick.
-        beats_since_tick: u32,
+        vigil: Vigil,
     }
 
     #[local]
@@ -116,13 +116,11 @@ mod app {
             // The settings are constants of this image.
             panic!("settings that no board can have");
         };
-        match cause {
-            Cause::Ordinary => {}
-            Cause::Watchdog => board.note(Event::WatchdogRestart, 0),
-            Cause::Crash { event, text } => {
-                defmt::error!("last words: {=str}", text.as_str());
-                board.note(event, 0);
-            }
+        if let Cause::Crash(words) = &cause {
+            defmt::error!("last words: {=str}", words.text.as_str());
+        }
+        if let Some(event) = cause.event() {
+            board.note(event, 0);
         }
 
         let (received_in, received_out) = cx.local.received.split();
@@ -145,7 +143,7 @@ mod app {
                 converters,
                 encoders,
                 board,
-                beats_since_tick: 0,
+                vigil: Vigil::new(PATIENCE_BEATS),
             },
             Local {
                 beats: 0,
@@ -156,8 +154,8 @@ mod app {
         )
     }
 
-    /// Tells the probe what happened, and keeps the watchdog quiet while ticks go on.
-    #[idle(shared = [board, beats_since_tick])]
+    /// Tells the probe what happened, and keeps the watchdog quiet while the board is well.
+    #[idle(shared = [board, vigil])]
     fn idle(mut cx: idle::Context) -> ! {
         loop {
             if let Some(event) = cx.shared.board.lock(FingerBoard::take_event) {
@@ -167,14 +165,14 @@ mod app {
                     LogLevel::Error => defmt::error!("{}", event),
                 }
             }
-            if cx.shared.beats_since_tick.lock(|beats| *beats) < DEAD_BEATS {
+            if cx.shared.vigil.lock(|vigil| vigil.is_well()) {
                 watchdog::feed();
             }
             cortex_m::asm::wfi();
         }
     }
 
-    #[task(binds = SysTick, priority = 4, local = [beats], shared = [converters, encoders, beats_since_tick])]
+    #[task(binds = SysTick, priority = 4, local = [beats], shared = [converters, encoders, vigil])]
     fn beat(mut cx: beat::Context) {
         time::beat();
         let now_us = time::now_us();
@@ -182,9 +180,7 @@ mod app {
             .converters
             .lock(|converters| converters.elapse(now_us));
         cx.shared.encoders.lock(|encoders| encoders.elapse(now_us));
-        cx.shared
-            .beats_since_tick
-            .lock(|beats| *beats = beats.saturating_add(1));
+        cx.shared.vigil.lock(Vigil::beat);
         *cx.local.beats += 1;
         if *cx.local.beats >= BEATS {
             *cx.local.beats = 0;
@@ -193,7 +189,7 @@ mod app {
         }
     }
 
-    #[task(priority = 2, local = [start_ticks], shared = [converters, encoders, board, beats_since_tick])]
+    #[task(priority = 2, local = [start_ticks], shared = [converters, encoders, board, vigil])]
     async fn tick(mut cx: tick::Context) {
         let now_us = time::now_us();
         let (sample, resets) = cx
@@ -201,9 +197,10 @@ mod app {
             .converters
             .lock(|converters| (converters.sample(now_us), converters.chip_resets()));
         let joints = cx.shared.encoders.lock(|encoders| encoders.sample(now_us));
-        cx.shared.beats_since_tick.lock(|beats| *beats = 0);
         if *cx.local.start_ticks > 0 {
             *cx.local.start_ticks -= 1;
+            cx.shared.vigil.lock(Vigil::ticked);
+            let _ = serve::spawn();
             return;
         }
         let valid = cx.shared.board.lock(|board| {
@@ -217,10 +214,11 @@ mod app {
         });
         // Lit while something is touched and everything is right.
         pins::LAMP.set(!valid);
+        cx.shared.vigil.lock(Vigil::ticked);
         let _ = serve::spawn();
     }
 
-    #[task(priority = 1, local = [queues], shared = [board])]
+    #[task(priority = 1, local = [queues], shared = [board, vigil])]
     async fn serve(mut cx: serve::Context) {
         let queues = cx.local.queues;
         loop {
@@ -247,6 +245,7 @@ mod app {
                 break;
             }
         }
+        cx.shared.vigil.lock(Vigil::served);
     }
 
     #[task(binds = USART1, priority = 4, local = [port])]
@@ -282,7 +281,7 @@ mod app {
     fn encoder(mut cx: encoder::Context) {
         cx.shared.encoders.lock(|encoders| {
             if let Some(byte) = encoders.line().interrupt() {
-                encoders.receive(byte);
+                encoders.receive(byte, time::now_us());
             }
         });
     }

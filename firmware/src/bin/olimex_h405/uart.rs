@@ -62,15 +62,12 @@ impl Port {
         Self(usart)
     }
 
-    /// The byte that came, if any. Reading also clears an overrun or a noisy stop bit; the byte is handed on all the
-    /// same, since every protocol here has its own check sum.
+    /// The byte that came, if any. Reading also clears a noisy stop bit; the byte is handed on all the same, since every protocol here
+    /// has its own check sum. An overrun without a byte, where a byte was lost right after the last look, is only cleared.
     pub fn take(self) -> Option<u8> {
         let status = self.0.sr().read();
-        if status.rxne() || status.ore() {
-            Some(self.0.dr().read().0 as u8)
-        } else {
-            None
-        }
+        let byte = (status.rxne() || status.ore()).then(|| self.0.dr().read().0 as u8)?;
+        status.rxne().then_some(byte)
     }
 
     /// Whether a byte can be put.

@@ -1,7 +1,7 @@
-//! The independent watchdog: the board restarts when sampling stands still.
+//! The independent watchdog: the board restarts when sampling or the link's task stands still.
 //!
 //! It runs on its own oscillator (32 kHz, 17 to 47 kHz) and can't be stopped once started. It is fed from the lowest
-//! priority, and only while ticks go on, so a dead interrupt and a task that never ends both end in a restart.
+//! priority, and only while ticks and the link's task go on, so a dead interrupt and a task that never ends both end in a restart.
 
 use stm32_metapac::iwdg::vals::{Key, Pr};
 use stm32_metapac::{DBGMCU, IWDG};

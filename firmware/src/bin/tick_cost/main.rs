@@ -120,12 +120,16 @@ struct Kept<'a, T>(&'a RefCell<T>);
 struct ChipLine {
     registers: [u8; 5],
     counter: u8,
+    converting: bool,
     answer: heapless::Vec<u8, 16>,
 }
 
 impl SerialLine for Kept<'_, ChipLine> {
     fn send(&mut self, bytes: &[u8]) {
         let mut chip = self.0.borrow_mut();
+        // Whatever was started is done before the next question.
+        chip.counter = chip.counter.wrapping_add(u8::from(chip.converting));
+        chip.converting = false;
         let mut bytes = bytes.iter().copied();
         while let Some(byte) = bytes.next() {
             if byte != 0x55 {
@@ -135,7 +139,7 @@ impl SerialLine for Kept<'_, ChipLine> {
             let register = usize::from((command >> 1) & 7) % 5;
             let mut body = heapless::Vec::<u8, 8>::new();
             match command & 0xf0 {
-                0x00 if command == 0x08 => chip.counter = chip.counter.wrapping_add(1),
+                0x00 if command == 0x08 => chip.converting = true,
                 0x00 => chip.registers = [0; 5],
                 0x10 => {
                     let counter = chip.counter;
@@ -200,7 +204,7 @@ fn serial_front_ends() {
             }
             let answer = core::mem::take(&mut bus.borrow_mut().0);
             for byte in answer {
-                cost.measure(|| encoders.receive(byte));
+                cost.measure(|| encoders.receive(byte, now_us));
             }
         }
         if round >= 10 {
