@@ -245,6 +245,90 @@ mod tests {
         }
     }
 
+    /// Flash as it is: an erase sets all bits bit by bit, a word written clears bits, the last word of a record goes last; and the power
+    /// goes after so many of these steps.
+    #[derive(Clone)]
+    struct Flash {
+        slots: [[u8; RECORD_BYTES]; SLOTS],
+        steps_left: usize,
+        steps: usize,
+    }
+
+    impl Flash {
+        fn step(&mut self) -> Result<(), StoreError> {
+            self.steps_left = self
+                .steps_left
+                .checked_sub(1)
+                .ok_or(StoreError::NotWritable)?;
+            self.steps += 1;
+            Ok(())
+        }
+    }
+
+    impl CalibrationStore for Flash {
+        fn is_permanent(&self) -> bool {
+            true
+        }
+        fn read(&mut self, slot: usize) -> [u8; RECORD_BYTES] {
+            self.slots[slot]
+        }
+        fn write(&mut self, slot: usize, record: &[u8; RECORD_BYTES]) -> Result<(), StoreError> {
+            for bit in 0..8 {
+                self.step()?;
+                for (place, byte) in self.slots[slot].iter_mut().enumerate() {
+                    // Cells don't erase all at once.
+                    *byte |= 1 << ((bit + place) % 8);
+                }
+            }
+            for word in 0..RECORD_BYTES / 4 {
+                self.step()?;
+                for place in 4 * word..4 * word + 4 {
+                    self.slots[slot][place] &= record[place];
+                }
+            }
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn the_power_may_go_at_any_step_of_erasing_and_writing() {
+        let new = || Flash {
+            slots: [[0xff; RECORD_BYTES]; SLOTS],
+            steps_left: usize::MAX,
+            steps: 0,
+        };
+        // So many calibrations lie in flash before: none, one slot, both, both written twice.
+        for kept in 0..4 {
+            let mut before = new();
+            for id in 1..=kept {
+                save(&mut before, &calibration(id)).expect("power");
+            }
+            let mut whole = before.clone();
+            save(&mut whole, &calibration(9)).expect("power");
+            let steps = whole.steps - before.steps;
+            assert_eq!(steps, 8 + RECORD_BYTES / 4);
+            for cut in 0..=steps {
+                let mut flash = before.clone();
+                flash.steps_left = cut;
+                let saved = save(&mut flash, &calibration(9));
+                assert_eq!(saved.is_ok(), cut == steps);
+                // The old one or the new one, and the old one until the new one is whole.
+                let expected = if cut == steps { 9 } else { kept };
+                let found = load(&mut flash).map_or(0, |calibration| calibration.id);
+                assert_eq!(found, expected, "{kept} kept, cut at {cut}");
+                // The next one goes in, and the one that was good stays until then.
+                flash.steps_left = usize::MAX;
+                save(&mut flash, &calibration(10)).expect("power");
+                assert_eq!(load(&mut flash), Some(calibration(10)));
+                let others = [0, 1].map(|slot| decode(&flash.slots[slot]).map(|(_, kept)| kept.id));
+                assert!(
+                    expected == 0 || others.contains(&Some(expected)),
+                    "{others:?}"
+                );
+            }
+        }
+    }
+
     #[test]
     fn the_generation_may_wrap() {
         let mut store = RamStore::new();
