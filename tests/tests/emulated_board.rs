@@ -1,5 +1,5 @@
 //! The image that is flashed, on an emulated board, against emulated chips: calibrated, tared and captured by `palpus` itself while a finger
-//! slides over a ball for 60 s of board time; every contact is held against the truth, and the run becomes a surface.
+//! slides over a ball for 60 s of board time; every contact is held against the truth. A second, quicker run becomes a surface.
 
 use nalgebra::Vector3;
 use palpus_host::evaluate::SurfaceLocator;
@@ -94,32 +94,32 @@ fn frames(run: &Path) -> Vec<Contact> {
     contacts
 }
 
-/// The run as a surface: one disk over the cap that the finger slid over, on the ball within what the encoders allow: a step of 0.38 mrad
-/// at 0.4 m of finger is 0.15 mm, and two joints of three move the tip along the normal. In the middle of the spiral nothing was touched.
+/// The run as a surface: one piece over the cap that the finger slid over, on the ball within what the encoders allow (a step of 0.38 mrad
+/// at 0.4 m of finger is 0.15 mm). In the middle of the spiral nothing was touched: that may be open or closed.
 fn becomes_a_surface(run: &str, surface: &str) {
-    let report = program::run_json(&[
-        "--json",
-        "reconstruct",
-        run,
-        "-o",
-        surface,
-        "--tolerance",
-        "0.3",
-        "--strict",
-    ]);
+    let report = program::run_json(&["--json", "reconstruct", run, "-o", surface]);
     let found = &report["surface"];
     println!("surface: {found}, error: {}", report["error"]["rms"]);
-    let figures = ["components", "borders", "genus", "euler", "folded_patches"];
+    let figures = ["components", "genus", "folded_patches"];
     assert_eq!(
         figures.map(|name| found[name].as_i64()),
-        [1, 1, 0, 1, 0].map(Some)
+        [1, 0, 0].map(Some)
+    );
+    assert!(
+        found["borders"]
+            .as_i64()
+            .is_some_and(|borders| (1..=2).contains(&borders))
     );
     assert!(
         found["g1_max_degrees"]
             .as_f64()
             .is_some_and(|angle| angle < 1e-6)
     );
-    assert_eq!(report["error"]["met"], true);
+    assert!(
+        report["error"]["rms"]
+            .as_f64()
+            .is_some_and(|error| error < 0.1)
+    );
 
     let surface = SurfaceFile::read(Path::new(surface))
         .expect("the surface file")
@@ -130,16 +130,17 @@ fn becomes_a_surface(run: &str, surface: &str) {
         "{} places of the surface are off the ball {rms:.4} mm rms, {worst:.4} mm at most",
         places.len()
     );
-    assert!(rms < 0.1 && worst < 0.6, "{rms} {worst}");
+    assert!(rms < 0.05 && worst < 0.3, "{rms} {worst}");
 
-    // All of the cap is there, up to one turn of the spiral from its edge.
+    // All of the cap is there, up to a turn of the spiral from its edge, and from two turns around its middle.
     let locator = SurfaceLocator::new(surface).expect("a surface to look at");
-    let edge_rad = MOTION.cap_rad - MOTION.pitch_mm / MOTION.ball_mm;
+    let turn_rad = MOTION.pitch_mm / MOTION.ball_mm;
+    let (inner, outer) = ((2.0 * turn_rad).cos(), (MOTION.cap_rad - turn_rad).cos());
     let pole = Vector3::from(MOTION.pole).normalize();
     let side = pole.cross(&Vector3::y()).normalize();
     let gaps = (0..2_000).map(|number| {
         // A sunflower's seeds: even over the cap.
-        let height = 1.0 - (1.0 - edge_rad.cos()) * (f64::from(number) + 0.5) / 2_000.0;
+        let height = inner - (inner - outer) * (f64::from(number) + 0.5) / 2_000.0;
         let turn = f64::from(number) * core::f64::consts::PI * (3.0 - 5_f64.sqrt());
         let around = side * turn.cos() + pole.cross(&side) * turn.sin();
         let place = (pole * height + around * (1.0 - height * height).sqrt()) * MOTION.ball_mm;
@@ -149,7 +150,7 @@ fn becomes_a_surface(run: &str, surface: &str) {
     println!(
         "2000 places of the touched cap are off the surface {rms:.4} mm rms, {worst:.4} mm at most"
     );
-    assert!(rms < 0.1 && worst < 0.6, "{rms} {worst}");
+    assert!(rms < 0.05 && worst < 0.3, "{rms} {worst}");
 }
 
 /// Root mean square and largest size of some values; the first is no number if one of them is none, or if there are none.
@@ -161,6 +162,22 @@ fn rms_and_largest(values: impl Iterator<Item = f64>) -> (f64, f64) {
         count += 1.0;
     }
     ((squares / count).sqrt(), largest)
+}
+
+/// Records so many valid contacts with the program.
+fn capture(finger_port: &str, hand: &str, run: &str, points: &str) -> serde_json::Value {
+    program::run_json(&[
+        "--json",
+        "capture",
+        "--finger",
+        finger_port,
+        "--hand",
+        hand,
+        "-o",
+        run,
+        "--points",
+        points,
+    ])
 }
 
 #[test]
@@ -221,18 +238,7 @@ fn emulated_finger_on_a_ball_from_the_chips_to_the_surface() {
     world.lock().expect("the world").set_down();
     let finger_port = format!("index={}", line.path());
     let run_path = path("run.mcap");
-    let captured = program::run_json(&[
-        "--json",
-        "capture",
-        "--finger",
-        &finger_port,
-        "--hand",
-        &hand_path,
-        "-o",
-        &run_path,
-        "--points",
-        "12100",
-    ]);
+    let captured = capture(&finger_port, &hand_path, &run_path, "12100");
     println!("capture: {captured}");
     let stats = program::run_json(&["--json", "board", line.path(), "stats"]);
     println!("stats: {stats}");
@@ -282,6 +288,20 @@ fn emulated_finger_on_a_ball_from_the_chips_to_the_surface() {
     );
     assert!(rms < 0.1, "{rms}");
 
+    // A run at the speed at which one explores: contacts 0.6 mm apart, turns 5 mm.
+    world.lock().expect("the world").begin_again(120.0);
+    let tared = program::run_json(&["--json", "board", line.path(), "tare"]);
+    assert_eq!(tared["samples"], 200, "{tared}");
+    world.lock().expect("the world").set_down();
+    let run_path = path("quick.mcap");
+    let captured = capture(&finger_port, &hand_path, &run_path, "2600");
+    assert_eq!(
+        (
+            &captured["fingers"][0]["lost"],
+            &captured["fingers"][0]["bad"]
+        ),
+        (&0.into(), &0.into())
+    );
     becomes_a_surface(&run_path, &path("surface.json"));
 
     let (lines, _) = log.finish().expect("the log");

@@ -1,5 +1,7 @@
-//! What a tick costs, in instructions, counted by the emulator: the same number in every run, so a benchmark that can fail.
+//! What a tick costs, in instructions, counted by the emulator: the same number in every run, so a benchmark that can fail. And what the
+//! image takes.
 
+use object::{Object, ObjectSection};
 use palpus_tests::emulator::{Board, command};
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
@@ -68,6 +70,30 @@ fn count() -> BTreeMap<String, (f64, f64)> {
         );
     }
     counts
+}
+
+/// Bytes of the image's sections from an address on, within so many.
+fn bytes_within(image: &[u8], from: u64, length: u64) -> u64 {
+    let file = object::File::parse(image).expect("an ELF");
+    file.sections()
+        .filter(|section| (from..from + length).contains(&section.address()))
+        .map(|section| section.size())
+        .sum()
+}
+
+#[test]
+fn emulated_image_is_small() {
+    let image = std::fs::read(Board::image()).expect("the image: run firmware/build first");
+    let ram = bytes_within(&image, 0x2000_0000, 128 << 10);
+    let data = {
+        let file = object::File::parse(&image[..]).expect("an ELF");
+        file.section_by_name(".data").map_or(0, |data| data.size())
+    };
+    let flash = bytes_within(&image, 0x0800_0000, 768 << 10) + data;
+    println!("{flash} bytes of flash, {ram} bytes of RAM");
+    // Room for twice of each in the smallest relative of this chip, with 256 KiB and 64 KiB.
+    assert!((10_000..128 << 10).contains(&flash), "{flash}");
+    assert!((1_000..32 << 10).contains(&ram), "{ram}");
 }
 
 #[test]

@@ -193,6 +193,14 @@ impl SlidingFinger {
         }
     }
 
+    /// Lifts the finger and takes it back to the middle of the cap, to slide at another speed.
+    pub const fn begin_again(&mut self, speed_mm_s: f64) {
+        self.lift();
+        self.turn_rad = 0.0;
+        self.outwards = true;
+        self.motion.speed_mm_s = speed_mm_s;
+    }
+
     /// Lifts the finger.
     pub const fn lift(&mut self) {
         self.down_since_s = None;

@@ -12,7 +12,8 @@
 //!
 //! # How long things take
 //!
-//! A tick waits for one `serve` step at most (a frame encoded or 32 bytes decoded). The interrupts of priority 4 wait for each other and for
+//! A tick waits for one `serve` step at most (a frame encoded or 32 bytes decoded; a calibration that is written to flash takes up to 2 s,
+//! and is refused while contacts are streamed). The interrupts of priority 4 wait for each other and for
 //! a tick's exchange with the drivers. Figures are in the firmware's README, "Instruction counts".
 //!
 //! The log never waits: lines are dropped when the probe does not read. Nothing is logged in an interrupt; the board notes events, and
@@ -58,7 +59,8 @@ mod app {
     /// Beats of SysTick in one period.
     const BEATS: u32 = settings::PERIOD_US / time::BEAT_US;
 
-    /// Ticks that the chips get to come up before the board takes what they say: 0.1 s; the encoders need it.
+    /// Ticks that the converters get to come up before the board takes what they say: 0.1 s. The encoders take 0.2 s after power-on, and
+    /// are missing until then.
     const START_TICKS: u8 = 20;
 
     /// Beats without a tick or without service of the link after which the watchdog is not fed any more: 0.1 s.
