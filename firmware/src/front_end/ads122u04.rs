@@ -142,7 +142,7 @@ pub struct ChannelReading {
 /// What the driver has counted since it was made. Counters wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Times the chip was found reset or with a changed register, and was set up again.
+    /// Times the chip was found reset, with a changed register, or standing still, and was set up again.
     pub resets: u32,
     /// Answers with a wrong check sum.
     pub check_errors: u32,
