@@ -8,7 +8,7 @@
 use super::super::bernstein::CONTROL_POINTS;
 use super::super::surface::Surface;
 use super::patch_jet;
-use super::tree::{SurfaceTree, box_distance2};
+use super::tree::{Piece, SurfaceTree, box_distance2};
 use crate::Vec3;
 use rayon::prelude::*;
 
@@ -28,8 +28,8 @@ pub struct ClosestPoint {
     pub residual: f64,
 }
 
-/// Newton steps; quadratic convergence needs three to six.
-const STEPS: usize = 24;
+/// Newton steps; quadratic convergence needs three to six, places near a centre of curvature many more.
+const STEPS: usize = 200;
 
 impl SurfaceTree {
     /// The closest point of `surface` (the one the tree was built on); `None` without patches or for a point that
@@ -38,8 +38,36 @@ impl SurfaceTree {
         if self.nodes.is_empty() || !point.iter().all(|x| x.is_finite()) {
             return None;
         }
-        let mut best: Option<ClosestPoint> = None;
-        let mut bound = f64::INFINITY;
+        // First the nearest middle of a piece: from there one run of Newton's method gives a bound that leaves few others.
+        let mut nearest = (f64::INFINITY, 0);
+        self.visit(point, f64::INFINITY, |number, piece| {
+            let distance = (piece.place - point).norm_squared();
+            if distance < nearest.0 {
+                nearest = (distance, number);
+            }
+            nearest.0
+        });
+        let from = |piece: &Piece| {
+            let points = &surface.control_points[piece.face as usize];
+            foot(points, piece.face, piece.middle, point)
+        };
+        let mut best = from(&self.pieces[nearest.1]);
+        self.visit(point, best.distance * best.distance, |number, piece| {
+            if number != nearest.1 {
+                let found = from(piece);
+                let as_near = found.distance == best.distance && found.face < best.face;
+                if found.distance < best.distance || as_near {
+                    best = found;
+                }
+            }
+            best.distance * best.distance
+        });
+        Some(best)
+    }
+
+    /// Hands over every piece whose box is within a squared distance of a point; `see` returns the new bound.
+    fn visit(&self, point: &Vec3, bound: f64, mut see: impl FnMut(usize, &Piece) -> f64) {
+        let mut bound = bound;
         let reach = |node: u32| {
             let node = &self.nodes[node as usize];
             box_distance2(&node.low, &node.high, point)
@@ -59,23 +87,13 @@ impl SurfaceTree {
                 continue;
             }
             let first = node.link as usize;
-            for piece in &self.pieces[first..first + node.count as usize] {
-                if box_distance2(&piece.low, &piece.high, point) > bound {
-                    continue;
-                }
-                let points = &surface.control_points[piece.face as usize];
-                let found = foot(points, piece.face, piece.middle, point);
-                let nearer = best.is_none_or(|b| {
-                    found.distance < b.distance
-                        || (found.distance == b.distance && found.face < b.face)
-                });
-                if nearer {
-                    bound = found.distance * found.distance;
-                    best = Some(found);
+            for number in first..first + node.count as usize {
+                let piece = &self.pieces[number];
+                if box_distance2(&piece.low, &piece.high, point) <= bound {
+                    bound = see(number, piece);
                 }
             }
         }
-        best
     }
 
     /// Closest points to many, in order, in parallel.
