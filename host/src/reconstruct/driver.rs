@@ -166,12 +166,21 @@ pub fn reconstruct(
     pool.install(|| run(cloud, options, progress))
 }
 
+/// Accuracy of the base mesh against the tolerance, and against the noise: patches that miss the field's surface by
+/// this much add nothing to the error that the data leave (bean, ellipsoid, trilobe: 54 to 80 patches when clean).
+const ACCURACY_OF_TOLERANCE: f64 = 0.1;
+const ACCURACY_OF_NOISE: f64 = 0.3;
 /// Accuracy, relative to the size, beyond which the base mesh is made no finer.
-const LEAST_ACCURACY: f64 = 3e-4;
-/// Weight of the samples of the extracted surface relative to a measured point. The field carries the
-/// smoothing across gaps; below 0.1 starved patches lean out, above 1 the measured points are no longer heard
-/// (torus, bean, two-holed torus, mug).
-const FIELD_WEIGHT: f64 = 1.0;
+const LEAST_ACCURACY: f64 = 1e-4;
+/// Weight of the points of borders and creases relative to a measured point.
+const LINE_WEIGHT: f64 = 1.0;
+/// A sample of the extracted surface counts (this * sigma of a contact / the field's own sigma)^2 of a measured
+/// point, at most 1. With 1 everywhere the mug's gaps follow the field's swings (rms 2.5e-3 of the diagonal); at 0.3
+/// the third derivatives of the patches bridge them better (1.4e-3). Below 0.3 the smooth shapes with 374 points lose.
+const FIELD_TRUST: f64 = 0.35;
+/// Standard deviation of contacts, relative to the size, below which the field's samples lose no more: between exact
+/// contacts the field is still the best there is (clean torus: 0.04e-3 with this, 0.10e-3 without).
+const LEAST_TRUSTED_SIGMA: f64 = 3e-4;
 /// Samples of the extracted surface: at most so many, and at least so many per patch where the mesh has them.
 const FIELD_SAMPLES: usize = 6000;
 const FIELD_SAMPLES_PER_PATCH: usize = 40;
@@ -412,8 +421,9 @@ fn tolerance(options: &Options, frame: &Frame, sigma: f64) -> (f64, &'static str
 
 /// Weight of the energy per datum: the noise variance over the energy that shapes of interest have.
 fn smoothing(sigma: f64) -> f64 {
-    // Trials with noise of 3e-3 of the diagonal did best near 1e-3, clean ones need 1e-6 or less.
-    (1e-3 * (sigma / 3e-3).powi(2)).clamp(1e-7, 1e-2)
+    // Trials with noise of 3e-3 of the diagonal did best near 1e-4 (torus, bean, trilobe, two-holed torus, mug: 3e-5 to
+    // 3e-4 differ by less than a tenth, 1e-3 doubles the error of bean and trilobe), clean ones need 1e-6 or less.
+    (1e-4 * (sigma / 3e-3).powi(2)).clamp(1e-7, 1e-2)
 }
 
 /// The extracted mesh cut along the creases that the inliers show.
@@ -453,10 +463,10 @@ fn simplify_mesh(
 ) -> Result<Simplified, SimplifyError> {
     let mut simplify_options = options.simplify.clone();
     // Finer than this is left to the refinement, which looks where it is needed.
-    let finest = LEAST_ACCURACY.max(extracted.noise.position_sigma);
+    let finest = LEAST_ACCURACY.max(ACCURACY_OF_NOISE * extracted.noise.position_sigma);
     simplify_options
         .accuracy
-        .get_or_insert(tolerance.max(finest));
+        .get_or_insert(finest.max(ACCURACY_OF_TOLERANCE * tolerance));
     let field = &extracted.field;
     let project = |x: &Vec3| {
         let foot = field.project(x)?;
@@ -522,6 +532,7 @@ fn data(
             kind: Kind::Measured,
         });
     }
+    let trusted = FIELD_TRUST * sigma.max(LEAST_TRUSTED_SIGMA);
     let mesh = &creased.mesh;
     let near_crease = near_creases(creased, 3.0 * extracted.spacing);
     let normals = mesh.vertex_normals();
@@ -540,7 +551,9 @@ fn data(
         data.push(Datum {
             position: *position,
             normal,
-            weight: FIELD_WEIGHT,
+            weight: (trusted / extracted.field.confidence(position))
+                .powi(2)
+                .min(1.0),
             normal_weight,
             kind: Kind::Field,
         });
@@ -556,7 +569,7 @@ fn data(
     data.extend(lines.map(|position| Datum {
         position,
         normal: Vec3::z(),
-        weight: FIELD_WEIGHT,
+        weight: LINE_WEIGHT,
         normal_weight: 0.0,
         kind: Kind::Line,
     }));

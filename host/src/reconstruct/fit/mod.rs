@@ -39,6 +39,10 @@ const NORMAL_SCALE: f64 = 0.15;
 const TETHER: f64 = 1e-8;
 /// Beyond this tether a system that cannot be factored is given up.
 const MAX_TETHER: f64 = 1e-2;
+/// Edge, relative to the size of the data, of the patch for which the smoothing is stated, and the shortest edge by
+/// which the energy is scaled.
+const REFERENCE_EDGE: f64 = 0.15;
+const LEAST_EDGE: f64 = 0.01;
 /// A foot point whose normal is more than 78 degrees off the measured one is not believed.
 const NORMAL_GATE: f64 = 0.2;
 
@@ -89,7 +93,8 @@ pub struct FitOptions {
     pub rounds: usize,
     /// How the measured normal enters.
     pub normal_term: NormalTerm,
-    /// Weight of the energy per datum and patch, in the direction across the patch.
+    /// Weight of the energy per datum, in the direction across the patch, for a patch whose edges are 0.15 of the size of
+    /// the data; it falls with the fourth power of the edges.
     pub smoothing: f64,
     /// Scale beyond which a measured datum counts less (same unit as positions); infinite: never.
     pub outlier_scale: f64,
@@ -117,7 +122,6 @@ pub fn fit(
     start: Option<Vec<Vec3>>,
     options: &FitOptions,
 ) -> Result<Fit, SystemError> {
-    let system = System::new(network)?;
     let flat = start.is_none();
     let points = start.unwrap_or_else(|| network.flat(vertices));
     let Some(first) = points.first().copied() else {
@@ -127,6 +131,8 @@ pub fn fit(
         (low.inf(&d.position), high.sup(&d.position))
     });
     let size = (high - low).norm().max(1e-300);
+    let scales = energy_scales(network, vertices, size);
+    let system = System::new(network, &scales)?;
     let mut fitting = Fitting {
         network,
         vertices,
@@ -135,7 +141,11 @@ pub fn fit(
         system,
         size,
         tether: TETHER,
-        stiffness: vec![options.smoothing.max(PARAMETER_SMOOTHING); network.faces.len()],
+        stiffness: scales
+            .iter()
+            .map(|s| (s * options.smoothing).max(PARAMETER_SMOOTHING))
+            .collect(),
+        scales,
         feet: Finder::new(network, &points, NORMAL_SCALE * size).find_all(data),
         points,
     };
@@ -160,6 +170,21 @@ pub fn fit(
     })
 }
 
+/// Weight of each patch's energy. Third derivatives by the parameters grow with the cube of a patch's edge h, so the
+/// energy per area of the same surface grows with h^4; divided by it, large and small patches are equally stiff.
+fn energy_scales(network: &Network, vertices: &[Vec3], size: f64) -> Vec<f64> {
+    let faces = network.faces.iter();
+    faces
+        .map(|face| {
+            let [a, b, c] = face.map(|v| vertices[v as usize] / size);
+            let area = 0.5 * (b - a).cross(&(c - a)).norm();
+            // Edge of the equilateral triangle of that area.
+            let edge = (area * 4.0 / 3.0_f64.sqrt()).sqrt();
+            (REFERENCE_EDGE / edge.max(LEAST_EDGE)).powi(4)
+        })
+        .collect()
+}
+
 /// What one round gave.
 struct Round {
     points: Vec<Vec3>,
@@ -177,6 +202,8 @@ struct Fitting<'a> {
     system: System,
     size: f64,
     tether: f64,
+    /// Weight of each patch's energy against the one smoothing for all.
+    scales: Vec<f64>,
     /// Weight of each patch's energy within the plane of its base triangle.
     stiffness: Vec<f64>,
     points: Vec<Vec3>,
@@ -204,7 +231,10 @@ impl Fitting<'_> {
     fn sums(&self, face: usize, members: &[u32], weights: &[f64], first: bool) -> PatchSums {
         let corners = self.network.faces[face].map(|v| self.vertices[v as usize]);
         let [a, b, c] = corners;
-        let (across, along) = (self.options.smoothing, self.stiffness[face]);
+        let (across, along) = (
+            self.options.smoothing * self.scales[face],
+            self.stiffness[face],
+        );
         let mut metric = Matrix3::identity() * along;
         if let Some(n) = (b - a).cross(&(c - a)).try_normalize(0.0) {
             metric += n * n.transpose() * (across - along);

@@ -128,15 +128,22 @@ static PATCH_ENERGY: LazyLock<PatchForm> = LazyLock::new(|| {
 });
 
 impl System {
-    /// Lays out the system of a network.
+    /// Lays out the system of a network; `scales` weighs the energy of each patch, and that of the jump across each
+    /// edge by the larger of its two.
     ///
     /// # Errors
     /// When the symbolic factorisation fails (memory).
-    pub fn new(network: &Network) -> Result<Self, SystemError> {
+    pub fn new(network: &Network, scales: &[f64]) -> Result<Self, SystemError> {
         let count = network.point_count;
         let equations = network.equations();
-        let jumps: Vec<Vec<(u32, f64)>> = (0..network.table.edges.len())
-            .flat_map(|edge| jump_rows(network, edge))
+        let jumps: Vec<(f64, Vec<(u32, f64)>)> = (0..network.table.edges.len())
+            .flat_map(|edge| {
+                let sides = network.table.edges[edge].sides.iter().flatten();
+                let scale = sides.map(|s| scales[s.face as usize]).fold(0.0, f64::max);
+                jump_rows(network, edge)
+                    .into_iter()
+                    .map(move |row| (scale, row))
+            })
             .collect();
         let mut pairs: Vec<(u32, u32)> = Vec::new();
         let mut couple = |numbers: &mut Vec<u32>| {
@@ -202,8 +209,8 @@ impl System {
         for equation in &equations {
             square(&mut penalty, &equation.terms, 1.0);
         }
-        for row in &jumps {
-            square(&mut energy, row, 1.0);
+        for (scale, row) in &jumps {
+            square(&mut energy, row, *scale);
         }
         let (columns, indices) = expand(count, &starts, &rows);
         let pattern =
