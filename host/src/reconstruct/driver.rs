@@ -2,7 +2,7 @@
 
 use super::chart::phases::{Prepared, chart_phases};
 use super::chart::{ChartFitError, ChartOptions};
-use super::creases::{self, CreaseOptions, Creased};
+use super::creases::{CreaseOptions, Creased, Sheets};
 use super::extract::{self, ExtractError, Extracted};
 use super::fit::foot::Foot;
 use super::fit::{Datum, FitOptions, Kind, NormalTerm};
@@ -208,6 +208,7 @@ fn run(
     extract_options.spacing = extract_options.spacing.map(|s| s / frame.scale);
     extract_options.max_gap = extract_options.max_gap.map(|g| g / frame.scale);
     let extracted = extract::extract(&inner, &extract_options)?;
+    let (extracted, creased) = find_creases(&inner, extracted, options, &extract_options)?;
     out.extracted = frame.mesh(&extracted.mesh);
     let noise = extracted.noise;
     out.report.input.used = cloud.points.len() - extracted.outliers.len();
@@ -228,7 +229,6 @@ fn run(
     progress(Progress::Phase("simplify"));
     let started = Instant::now();
     let (tolerance, tolerance_from) = tolerance(options, &frame, noise.position_sigma);
-    let creased = find_creases(&inner, &extracted, options)?;
     let simplified = simplify_mesh(&inner, &extracted, &creased, options, tolerance)?;
     out.simplified = Some(frame.mesh(&simplified.mesh));
     out.report.phases.push(PhaseFigures {
@@ -426,22 +426,10 @@ fn smoothing(sigma: f64) -> f64 {
     (1e-4 * (sigma / 3e-3).powi(2)).clamp(1e-7, 1e-2)
 }
 
-/// The extracted mesh cut along the creases that the inliers show.
-fn find_creases(
-    inner: &Cloud,
-    extracted: &Extracted,
-    options: &Options,
-) -> Result<Creased, SimplifyError> {
-    // A chart is smooth everywhere.
-    let wanted = options.creases.as_ref().filter(|_| options.chart.is_none());
-    let Some(creases) = wanted else {
-        return Ok(Creased {
-            mesh: extracted.mesh.clone(),
-            ..Creased::default()
-        });
-    };
-    let mut outliers = extracted.outliers.iter().peekable();
-    let inliers = Cloud {
+/// The contacts that phase 1 did not set aside.
+fn inliers(inner: &Cloud, outliers: &[usize]) -> Cloud {
+    let mut outliers = outliers.iter().peekable();
+    Cloud {
         points: inner
             .points
             .iter()
@@ -450,8 +438,51 @@ fn find_creases(
             .map(|(_, point)| *point)
             .collect(),
         rejected: Vec::new(),
+    }
+}
+
+/// Looks for smooth sheets that break with one another. Where there are some, the surface is extracted again, sheet by
+/// sheet, and cut along the lines where they meet.
+fn find_creases(
+    inner: &Cloud,
+    extracted: Extracted,
+    options: &Options,
+    extract_options: &extract::Options,
+) -> Result<(Extracted, Creased), ReconstructError> {
+    let plain = |extracted: Extracted| {
+        let mesh = extracted.mesh.clone();
+        let creased = Creased {
+            mesh,
+            ..Creased::default()
+        };
+        Ok((extracted, creased))
     };
-    Ok(creases::find(&inliers, &extracted.mesh, creases)?)
+    // A chart is smooth everywhere.
+    let wanted = options.creases.as_ref().filter(|_| options.chart.is_none());
+    let Some(creases) = wanted else {
+        return plain(extracted);
+    };
+    let inliers = inliers(inner, &extracted.outliers);
+    let sheets = Sheets::of(&inliers, creases);
+    if sheets.sharp().is_empty() {
+        return plain(extracted);
+    }
+    let again = extract::extract_sheets(
+        &inliers,
+        extract_options,
+        sheets.labels(),
+        sheets.sharp(),
+        &extracted.noise,
+    );
+    let extracted = match again {
+        Ok(again) => Extracted {
+            outliers: extracted.outliers,
+            ..again
+        },
+        Err(_) => extracted,
+    };
+    let creased = sheets.cut(&extracted.mesh).map_err(SimplifyError::from)?;
+    Ok((extracted, creased))
 }
 
 fn simplify_mesh(

@@ -52,43 +52,64 @@ pub struct Creased {
     pub scatter: Option<Scatter>,
 }
 
-/// Finds the creases that `cloud` shows and cuts `mesh`, which was extracted from it, along them.
-///
-/// Same input, same result.
-///
-/// # Errors
-/// When `mesh` is no oriented manifold.
-pub fn find(
-    cloud: &Cloud,
-    mesh: &TriangleMesh,
-    options: &CreaseOptions,
-) -> Result<Creased, MeshError> {
-    let usable = |v: &crate::Vec3| v.iter().all(|x| x.is_finite());
-    let plain = || Creased {
-        mesh: mesh.clone(),
-        ..Creased::default()
-    };
-    if cloud.points.len() < 20
-        || !cloud
-            .points
-            .iter()
-            .all(|p| usable(&p.position) && usable(&p.normal))
-    {
-        return Ok(plain());
+/// The smooth sheets that the points of a cloud form.
+pub struct Sheets<'a> {
+    /// `None` where there is nothing to find them in.
+    regions: Option<Regions<'a>>,
+    turn_min: f64,
+}
+
+impl<'a> Sheets<'a> {
+    /// Finds the sheets of `cloud`. Same input, same result.
+    pub fn of(cloud: &'a Cloud, options: &CreaseOptions) -> Self {
+        let usable = |v: &crate::Vec3| v.iter().all(|x| x.is_finite());
+        let fine = cloud.points.len() >= 20
+            && cloud
+                .points
+                .iter()
+                .all(|p| usable(&p.position) && usable(&p.normal));
+        let turn_min = options.turn_min_degrees.to_radians();
+        Self {
+            regions: fine.then(|| Regions::new(cloud, turn_min)),
+            turn_min,
+        }
     }
-    let regions = Regions::new(cloud, options.turn_min_degrees.to_radians());
-    let mut labels: Vec<u32> = regions.label.clone();
-    labels.retain(|l| *l != crate::mesh::NONE);
-    labels.sort_unstable();
-    labels.dedup();
-    let mut out = if regions.sharp.is_empty() {
-        plain()
-    } else {
-        cut::cut(&regions, mesh, options.turn_min_degrees.to_radians())?
-    };
-    out.sheets = labels.len();
-    out.scatter = Some(regions.scatter);
-    Ok(out)
+
+    /// The sheet of each point; [`NONE`](crate::mesh::NONE) where it fits none.
+    pub fn labels(&self) -> &[u32] {
+        self.regions.as_ref().map_or(&[], |r| &r.label)
+    }
+
+    /// Pairs of sheets between which the surface breaks.
+    pub fn sharp(&self) -> &[[u32; 2]] {
+        self.regions.as_ref().map_or(&[], |r| &r.sharp)
+    }
+
+    /// Cuts `mesh`, which was extracted from the same points, along the lines where the surface breaks.
+    ///
+    /// # Errors
+    /// When `mesh` is no oriented manifold.
+    pub fn cut(&self, mesh: &TriangleMesh) -> Result<Creased, MeshError> {
+        let plain = || Creased {
+            mesh: mesh.clone(),
+            ..Creased::default()
+        };
+        let Some(regions) = &self.regions else {
+            return Ok(plain());
+        };
+        let mut labels: Vec<u32> = regions.label.clone();
+        labels.retain(|l| *l != crate::mesh::NONE);
+        labels.sort_unstable();
+        labels.dedup();
+        let mut out = if regions.sharp.is_empty() {
+            plain()
+        } else {
+            cut::cut(regions, mesh, self.turn_min)?
+        };
+        out.sheets = labels.len();
+        out.scatter = Some(regions.scatter);
+        Ok(out)
+    }
 }
 
 #[cfg(test)]

@@ -32,6 +32,10 @@ const AGREE_NORMAL: f64 = 0.14;
 const AGREE_SLOPE: f64 = 0.12;
 /// A region with fewer points may be a cut-off piece of another.
 const FRAGMENT_MAX: usize = 60;
+/// Least scatter assumed, of positions in spacings and of normals in radians: what a curved surface is off a quadric
+/// over a sheet's reach. Below it the sheets of an exact cylinder contradict their own points.
+const LEAST_SCATTER: f64 = 0.04;
+const LEAST_SCATTER_NORMAL: f64 = 0.02;
 /// How far, in spacings, a sheet is carried on to such a piece.
 const SIGHT: f64 = 8.0;
 /// Places at which two sheets must be seen to meet at an angle.
@@ -132,9 +136,10 @@ impl<'a> Regions<'a> {
         };
         // The median of |z| is 0.674 sigma; that of the length of two components 1.177 sigma.
         Scatter {
-            position: median(&mut off)
-                .map_or(0.1 * self.spacing, |m| (m / 0.674).max(1e-3 * self.spacing)),
-            normal: median(&mut turn).map_or(0.1, |m| (m / 1.177).max(1e-3)),
+            position: median(&mut off).map_or(0.1 * self.spacing, |m| {
+                (m / 0.674).max(LEAST_SCATTER * self.spacing)
+            }),
+            normal: median(&mut turn).map_or(0.1, |m| (m / 1.177).max(LEAST_SCATTER_NORMAL)),
         }
     }
 

@@ -68,12 +68,9 @@ fn off_edge(p: &Vec3, a: f64) -> f64 {
 #[test]
 fn the_twelve_edges_of_a_noisy_cube_are_found_and_placed() {
     let a = 0.4;
-    let found = find(
-        &cube_points(1229, a),
-        &rounded_cube(a, 0.06),
-        &CreaseOptions::default(),
-    )
-    .unwrap();
+    let found = Sheets::of(&cube_points(1229, a), &CreaseOptions::default())
+        .cut(&rounded_cube(a, 0.06))
+        .unwrap();
     assert_eq!(found.sheets, 6);
     let half = HalfEdgeMesh::new(&found.mesh).unwrap();
     assert_eq!(topology(&found.mesh).genus(), Some(0));
@@ -141,7 +138,9 @@ fn the_two_rims_of_a_noisy_cylinder_are_found() {
         let around = if r > 1e-9 { nr / r } else { 0.0 };
         *p = Vec3::new(p.x * around, p.y * around, nz + 0.5 * height);
     }
-    let found = find(&cloud, &mesh, &CreaseOptions::default()).unwrap();
+    let found = Sheets::of(&cloud, &CreaseOptions::default())
+        .cut(&mesh)
+        .unwrap();
     assert_eq!(found.sheets, 3);
     let diagonal = (8.0 * radius * radius + height * height).sqrt();
     let mut length = 0.0;
@@ -178,7 +177,9 @@ fn smooth_shapes_have_no_creases() {
                 .points
                 .push(noisy(s.position, n.normalize(), &mut rng));
         }
-        let found = find(&cloud, &dense, &CreaseOptions::default()).unwrap();
+        let found = Sheets::of(&cloud, &CreaseOptions::default())
+            .cut(&dense)
+            .unwrap();
         assert!(found.lines.edges.is_empty());
         assert_eq!(found.mesh, dense);
     }
@@ -190,9 +191,10 @@ fn bad_input_is_no_panic() {
     let mut cloud = cube_points(100, 0.4);
     cloud.points[7].position.x = f64::NAN;
     let options = CreaseOptions::default();
-    assert_eq!(find(&cloud, &mesh, &options).unwrap().mesh, mesh);
+    assert_eq!(Sheets::of(&cloud, &options).cut(&mesh).unwrap().mesh, mesh);
     assert!(
-        find(&Cloud::default(), &mesh, &options)
+        Sheets::of(&Cloud::default(), &options)
+            .cut(&mesh)
             .unwrap()
             .lines
             .edges
@@ -202,5 +204,5 @@ fn bad_input_is_no_panic() {
         points: vec![cloud.points[0]; 50],
         ..Cloud::default()
     };
-    assert!(find(&same, &mesh, &options).is_ok());
+    assert!(Sheets::of(&same, &options).cut(&mesh).is_ok());
 }

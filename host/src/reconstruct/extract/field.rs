@@ -6,7 +6,10 @@
 
 use std::collections::HashMap;
 
-use super::{contacts::Frame, local_fit::LocalField, planes::TangentPlanes, smoothing::Levels};
+use super::{
+    contacts::Frame, local_fit::LocalField, planes::TangentPlanes, sheets::SheetField,
+    smoothing::Levels,
+};
 use crate::{Vec3, cloud::Neighbourhoods};
 
 /// The field whose zero set is the surface, in the unit of the input; negative inside.
@@ -84,6 +87,8 @@ pub(super) enum Shape {
     Blended(BlendedField),
     /// Averaged tangent planes.
     Planes(TangentPlanes),
+    /// Smooth sheets that meet in creases.
+    Sheets(SheetField),
 }
 
 impl Shape {
@@ -92,6 +97,7 @@ impl Shape {
         match self {
             Self::Blended(field) => field.value(x),
             Self::Planes(planes) => planes.value_and_gradient(x).0,
+            Self::Sheets(sheets) => sheets.value(x),
         }
     }
 
@@ -100,6 +106,7 @@ impl Shape {
         match self {
             Self::Blended(field) => field.value_and_gradient(x),
             Self::Planes(planes) => planes.value_and_gradient(x),
+            Self::Sheets(sheets) => sheets.value_and_gradient(x),
         }
     }
 
@@ -130,6 +137,7 @@ impl Shape {
         match self {
             Self::Blended(field) => field.sigma(x),
             Self::Planes(_) => None,
+            Self::Sheets(sheets) => sheets.sigma(x),
         }
     }
 
@@ -137,6 +145,7 @@ impl Shape {
         match self {
             Self::Blended(field) => field.len(),
             Self::Planes(planes) => planes.len(),
+            Self::Sheets(sheets) => sheets.len(),
         }
     }
 
@@ -145,6 +154,7 @@ impl Shape {
         match self {
             Self::Blended(field) => field.bytes(),
             Self::Planes(planes) => planes.bytes(),
+            Self::Sheets(sheets) => sheets.bytes(),
         }
     }
 }
@@ -269,7 +279,7 @@ impl BlendedField {
     }
 
     /// Standard deviations of the balls' fits at their centres, blended; `None` where none reaches.
-    fn sigma(&self, x: &Vec3) -> Option<f64> {
+    pub(super) fn sigma(&self, x: &Vec3) -> Option<f64> {
         let (mut sum, mut weight) = (0.0, 0.0);
         for (ball, t) in self.reaching(x) {
             let w = (1.0 - t).powi(4) * (4.0 * t + 1.0);

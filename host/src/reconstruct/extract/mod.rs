@@ -25,16 +25,20 @@ mod options;
 mod orthogonal;
 mod outliers;
 mod planes;
+mod sheets;
+mod sides;
 mod smoothing;
 
 use rayon::prelude::*;
 
 use self::{
     border::Closing,
-    contacts::Normalised,
+    contacts::{Frame, Normalised},
     field::{Ball, BlendedField, Shape},
     lattice::Lattice,
     planes::TangentPlanes,
+    sheets::SheetField,
+    sides::Sides,
     smoothing::{Cover, Levels},
 };
 use crate::{
@@ -111,7 +115,47 @@ const BYTES_PER_CUBE: usize = 500;
 pub fn extract(cloud: &Cloud, options: &Options) -> Result<Extracted, ExtractError> {
     options.check()?;
     let (frame, all) = contacts::normalise(cloud)?;
-    let fitted = fit(all, options)?;
+    trace(frame, fit(all, options)?, options)
+}
+
+/// Extracts the surface again, now that it is known which contacts of `cloud` form smooth sheets and which of these break
+/// with one another: edges and corners come out sharp, also where no contact comes near. `labels` gives the sheet of
+/// each contact ([`NONE`](crate::mesh::NONE): of no sheet), `sharp` the pairs of sheets, `noise` is that found before.
+///
+/// # Errors
+/// As [`extract`].
+pub fn extract_sheets(
+    cloud: &Cloud,
+    options: &Options,
+    labels: &[u32],
+    sharp: &[[u32; 2]],
+    noise: &NoiseEstimate,
+) -> Result<Extracted, ExtractError> {
+    options.check()?;
+    let (frame, data) = contacts::normalise(cloud)?;
+    let tree = Neighbourhoods::new(data.positions.clone());
+    let covers = smoothing::cover(&data.positions, &tree, options.neighbours, COVERED);
+    let contact_spacing = contact_spacing(&covers);
+    let levels = Levels {
+        position_sigma: noise.position_sigma / frame.scale,
+        normal_sigma: noise.normal_sigma,
+        tau2: 1.0,
+    };
+    let neighbours = options.neighbours;
+    let field = SheetField::new(&data, labels, sharp, &levels, neighbours, contact_spacing)?;
+    let fitted = Fitted {
+        data,
+        tree,
+        shape: Shape::Sheets(field),
+        levels,
+        contact_spacing,
+        outliers: Vec::new(),
+    };
+    trace(frame, fitted, options)
+}
+
+/// Follows the zero set of a field.
+fn trace(frame: Frame, fitted: Fitted, options: &Options) -> Result<Extracted, ExtractError> {
     let Fitted {
         data,
         tree,
@@ -146,8 +190,9 @@ pub fn extract(cloud: &Cloud, options: &Options) -> Result<Extracted, ExtractErr
         .map_or(0.0, |gap| 0.5 * gap / frame.scale)
         .max(HOLE_SPACINGS * contact_spacing);
     let reach = REACH.max(hole_radius + 2.0 * spacing);
+    let sides = Sides::new(&data, &tree, contact_spacing);
     let marched = Lattice { spacing }.march(
-        |x| shape.value(x),
+        |x| sides.settle(x, shape.value(x)),
         &seeds,
         |x| {
             tree.nearest_one(x)
@@ -238,11 +283,7 @@ fn fit(mut data: Normalised, options: &Options) -> Result<Fitted, ExtractError> 
     loop {
         let covers = smoothing::cover(&data.positions, &tree, options.neighbours, COVERED);
         let levels = smoothing::estimate(kernel, &data, &tree);
-        let mut spread: Vec<f64> = covers
-            .iter()
-            .map(|b| b.radius * (std::f64::consts::PI / b.members.len() as f64).sqrt())
-            .collect();
-        let contact_spacing = smoothing::median(&mut spread).unwrap_or(0.05).max(1e-4);
+        let contact_spacing = contact_spacing(&covers);
         let gaps = smoothing::gap_covers(&data, &tree, options.neighbours, contact_spacing);
         let blended = build_field(kernel, &data, &covers, &gaps, &levels)?;
         round += 1;
@@ -266,6 +307,15 @@ fn fit(mut data: Normalised, options: &Options) -> Result<Fitted, ExtractError> 
             outliers,
         });
     }
+}
+
+/// Typical distance of neighbouring contacts if they were spread evenly.
+fn contact_spacing(covers: &[Cover]) -> f64 {
+    let mut spread: Vec<f64> = covers
+        .iter()
+        .map(|b| b.radius * (std::f64::consts::PI / b.members.len() as f64).sqrt())
+        .collect();
+    smoothing::median(&mut spread).unwrap_or(0.05).max(1e-4)
 }
 
 /// Moves the vertices onto the zero set; those that would go far stay.

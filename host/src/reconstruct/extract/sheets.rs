@@ -1,0 +1,189 @@
+//! A field with creases: each smooth sheet of contacts has a field of its own, and the solid is what they bound together.
+//!
+//! One field over a crease has to bend there as no smooth function can; between the tracks it swings out, and corners
+//! that no contact comes near to tear open. Once it is known which contacts form a smooth sheet and which sheets break
+//! with one another, every sheet is fitted from its own contacts alone and carried on past its end; where two sheets meet
+//! in an outer edge the solid lies behind both (the larger value counts), in an inner edge behind either (the smaller).
+//!
+//! Two ways were weighed: to keep one field and give it kernels that may bend (it then follows the noise too), and this
+//! one, the sharp features of multi-level partitions of unity (Ohtake et al. 2003) with sheets that were found beforehand.
+
+use super::{
+    build_field, contacts::Normalised, field::BlendedField, kernel::Kernel, options::ExtractError,
+    smoothing, smoothing::Levels,
+};
+use crate::{Vec3, cloud::Neighbourhoods};
+
+/// A sheet has a say at a place if its nearest contact is not this many times farther than the nearest of all, and this
+/// many contact spacings.
+const SAY_RATIO: f64 = 2.0;
+const SAY_SPACINGS: f64 = 3.0;
+/// Contacts within so many spacings of the other sheet tell whether two sheets form an outer or an inner edge.
+const EDGE_SPACINGS: f64 = 5.0;
+/// Kernel of a sheet: quadratic polynomials are carried on past a sheet's end without swinging.
+const KERNEL: Kernel = Kernel::Quintic;
+
+/// How two sheets meet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Edge {
+    /// They do not break with one another.
+    None,
+    /// The solid lies behind both.
+    Outer,
+    /// The solid lies behind either.
+    Inner,
+}
+
+/// One sheet's field and contacts, in normalised coordinates.
+#[derive(Clone, Debug)]
+struct Sheet {
+    field: BlendedField,
+    contacts: Neighbourhoods,
+}
+
+/// The fields of all sheets and how they meet.
+#[derive(Clone, Debug)]
+pub(super) struct SheetField {
+    sheets: Vec<Sheet>,
+    /// How sheets i and j meet, at i * sheets + j.
+    edges: Vec<Edge>,
+    spacing: f64,
+}
+
+impl SheetField {
+    /// Fits every sheet. `labels` tells the sheet of each contact (a number that names none leaves the contact out),
+    /// `sharp` which of them break with one another.
+    ///
+    /// # Errors
+    /// When a sheet cannot be fitted.
+    pub(super) fn new(
+        data: &Normalised,
+        labels: &[u32],
+        sharp: &[[u32; 2]],
+        levels: &Levels,
+        neighbours: usize,
+        spacing: f64,
+    ) -> Result<Self, ExtractError> {
+        let mut names: Vec<u32> = labels.to_vec();
+        names.retain(|l| *l != crate::mesh::NONE);
+        names.sort_unstable();
+        names.dedup();
+        let mut sheets = Vec::with_capacity(names.len());
+        for name in &names {
+            let others: Vec<bool> = labels.iter().map(|l| l != name).collect();
+            let own = data.without(&others);
+            let tree = Neighbourhoods::new(own.positions.clone());
+            let count = neighbours.min(own.positions.len());
+            let covers = smoothing::cover(&own.positions, &tree, count, super::COVERED);
+            let levels = smoothing::with_smoothness(KERNEL, &own, &covers, levels);
+            let field = build_field(KERNEL, &own, &covers, &[], &levels)?;
+            sheets.push(Sheet {
+                field,
+                contacts: tree,
+            });
+        }
+        let mut out = Self {
+            edges: vec![Edge::None; sheets.len() * sheets.len()],
+            sheets,
+            spacing,
+        };
+        for [a, b] in sharp {
+            if let (Ok(i), Ok(j)) = (names.binary_search(a), names.binary_search(b)) {
+                let edge = out.meeting(i, j);
+                out.edges[i * names.len() + j] = edge;
+                out.edges[j * names.len() + i] = edge;
+            }
+        }
+        Ok(out)
+    }
+
+    /// Whether the contacts of each sheet near the other lie behind it.
+    fn meeting(&self, i: usize, j: usize) -> Edge {
+        let reach = EDGE_SPACINGS * self.spacing;
+        let side = |of: &Sheet, against: &Sheet| -> f64 {
+            of.contacts
+                .positions()
+                .iter()
+                .filter(|p| {
+                    let nearest = against.contacts.nearest_one(p);
+                    nearest.is_some_and(|(_, d2)| d2 < reach * reach)
+                })
+                .map(|p| against.field.value(p))
+                .filter(|f| f.is_finite())
+                .sum()
+        };
+        let (a, b) = (&self.sheets[i], &self.sheets[j]);
+        if side(a, b) + side(b, a) < 0.0 {
+            Edge::Outer
+        } else {
+            Edge::Inner
+        }
+    }
+
+    /// The sheet that bounds the solid nearest to `x`; `None` without sheets.
+    fn leading(&self, x: &Vec3) -> Option<&Sheet> {
+        let away: Vec<f64> = self
+            .sheets
+            .iter()
+            .map(|s| {
+                s.contacts
+                    .nearest_one(x)
+                    .map_or(f64::INFINITY, |(_, d2)| d2.sqrt())
+            })
+            .collect();
+        let least = away.iter().copied().fold(f64::INFINITY, f64::min);
+        let limit = SAY_RATIO * least + SAY_SPACINGS * self.spacing;
+        let heard: Vec<(usize, f64)> = (0..self.sheets.len())
+            .filter(|&i| away[i] <= limit)
+            .map(|i| (i, self.sheets[i].field.value(x)))
+            .filter(|(_, f)| f.is_finite())
+            .collect();
+        let count = self.sheets.len();
+        // The sheet that prevails against most of those it breaks with; of equals the nearest.
+        let best = heard.iter().max_by(|(i, f), (j, g)| {
+            let losses = |i: usize, f: f64| {
+                let lost = heard
+                    .iter()
+                    .filter(|(k, h)| match self.edges[i * count + k] {
+                        Edge::None => false,
+                        Edge::Outer => *h > f,
+                        Edge::Inner => *h < f,
+                    });
+                lost.count()
+            };
+            losses(*j, *g)
+                .cmp(&losses(*i, *f))
+                .then(away[*j].total_cmp(&away[*i]))
+                .then(j.cmp(i))
+        })?;
+        self.sheets.get(best.0)
+    }
+
+    /// Value at `x`; NaN where nothing speaks.
+    pub(super) fn value(&self, x: &Vec3) -> f64 {
+        self.leading(x).map_or(f64::NAN, |s| s.field.value(x))
+    }
+
+    /// Value and gradient at `x`; NaN where nothing speaks.
+    pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
+        self.leading(x).map_or_else(
+            || (f64::NAN, Vec3::repeat(f64::NAN)),
+            |s| s.field.value_and_gradient(x),
+        )
+    }
+
+    /// Standard deviation of the leading sheet's fits.
+    pub(super) fn sigma(&self, x: &Vec3) -> Option<f64> {
+        self.leading(x)?.field.sigma(x)
+    }
+
+    /// Number of local fits.
+    pub(super) fn len(&self) -> usize {
+        self.sheets.iter().map(|s| s.field.len()).sum()
+    }
+
+    /// Bytes held.
+    pub(super) fn bytes(&self) -> usize {
+        self.sheets.iter().map(|s| s.field.bytes()).sum()
+    }
+}
