@@ -30,6 +30,9 @@ const AGREE: f64 = 3.5;
 const AGREE_NORMAL: f64 = 0.14;
 /// The same for the position, in shares of the distance to the nearest point of the sheet.
 const AGREE_SLOPE: f64 = 0.12;
+/// How far, in spacings, a sheet's own points may end before the place where it meets another: sheets, planes.
+const SHEET_SIGHT: f64 = 2.5;
+const PLANE_SIGHT: f64 = 4.5;
 /// A region with fewer points may be a cut-off piece of another.
 const FRAGMENT_MAX: usize = 60;
 /// Least scatter assumed, of positions in spacings and of normals in radians: what a curved surface is off a quadric
@@ -487,10 +490,16 @@ impl<'a> Regions<'a> {
         let Some(x) = meet(&[&a, &b], &middle, reach) else {
             return 0.0;
         };
-        // Each sheet must end in points of its own: carried on by more than two spacings it is a guess.
+        // Each sheet must end in points of its own: carried on by more than two spacings it is a guess, unless both are
+        // planes, which go far.
+        let sight = if a.is_plane() && b.is_plane() {
+            PLANE_SIGHT
+        } else {
+            SHEET_SIGHT
+        };
         let mut ends = [f64::INFINITY; 2];
         let (mut near, mut against) = (0usize, 0usize);
-        for (k, squared) in self.tree.within(&x, 2.5 * self.spacing) {
+        for (k, squared) in self.tree.within(&x, sight * self.spacing) {
             let side = regions.iter().position(|r| *r == self.label[k]);
             if let Some(s) = side {
                 ends[s] = ends[s].min(squared.sqrt());

@@ -130,6 +130,11 @@ impl Sheet {
         out.height.iter().all(|c| c.is_finite()).then_some(out)
     }
 
+    /// Whether its points show no curvature.
+    pub(super) fn is_plane(&self) -> bool {
+        self.degrees == 3
+    }
+
     fn local(&self, p: &Vec3) -> Vec3 {
         let d = (p - self.origin) / self.scale;
         Vec3::new(

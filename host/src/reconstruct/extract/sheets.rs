@@ -17,16 +17,18 @@ use crate::{Vec3, cloud::Neighbourhoods};
 /// A sheet has a say at a place if its nearest contact is not this many times farther than the nearest of all, and this
 /// many contact spacings.
 const SAY_RATIO: f64 = 2.0;
-const SAY_SPACINGS: f64 = 3.0;
+const SAY_SPACINGS: f64 = 8.0;
 /// Contacts within so many spacings of the other sheet tell whether two sheets form an outer or an inner edge.
 const EDGE_SPACINGS: f64 = 5.0;
+/// Mean angle between neighbouring normals of two sheets from which they form an edge, radians (30 degrees).
+const EDGE_TURN: f64 = 0.52;
 /// Kernel of a sheet: quadratic polynomials are carried on past a sheet's end without swinging.
 const KERNEL: Kernel = Kernel::Quintic;
 
 /// How two sheets meet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Edge {
-    /// They do not break with one another.
+    /// They do not meet, or go on into one another.
     None,
     /// The solid lies behind both.
     Outer,
@@ -39,6 +41,7 @@ enum Edge {
 struct Sheet {
     field: BlendedField,
     contacts: Neighbourhoods,
+    normals: Vec<Vec3>,
 }
 
 /// The fields of all sheets and how they meet.
@@ -80,6 +83,7 @@ impl SheetField {
             sheets.push(Sheet {
                 field,
                 contacts: tree,
+                normals: own.normals,
             });
         }
         let mut out = Self {
@@ -87,9 +91,10 @@ impl SheetField {
             sheets,
             spacing,
         };
-        for [a, b] in sharp {
-            if let (Ok(i), Ok(j)) = (names.binary_search(a), names.binary_search(b)) {
-                let edge = out.meeting(i, j);
+        for i in 0..names.len() {
+            for j in 0..i {
+                let broken = sharp.contains(&[names[j], names[i]]);
+                let edge = out.meeting(i, j, broken);
                 out.edges[i * names.len() + j] = edge;
                 out.edges[j * names.len() + i] = edge;
             }
@@ -97,23 +102,29 @@ impl SheetField {
         Ok(out)
     }
 
-    /// Whether the contacts of each sheet near the other lie behind it.
-    fn meeting(&self, i: usize, j: usize) -> Edge {
+    /// How sheets `i` and `j` meet: whether the contacts of each near the other lie behind it. Sheets that are not known
+    /// to be `broken` meet in an edge all the same if one turns away from the other's contacts by more than
+    /// [`EDGE_TURN`]: small pieces of a sheet show too little of their edge to be sure of it.
+    fn meeting(&self, i: usize, j: usize, broken: bool) -> Edge {
         let reach = EDGE_SPACINGS * self.spacing;
-        let side = |of: &Sheet, against: &Sheet| -> f64 {
-            of.contacts
-                .positions()
-                .iter()
-                .filter(|p| {
-                    let nearest = against.contacts.nearest_one(p);
-                    nearest.is_some_and(|(_, d2)| d2 < reach * reach)
-                })
-                .map(|p| against.field.value(p))
-                .filter(|f| f.is_finite())
-                .sum()
-        };
-        let (a, b) = (&self.sheets[i], &self.sheets[j]);
-        if side(a, b) + side(b, a) < 0.0 {
+        let (mut behind, mut turn, mut count) = (0.0, 0.0, 0.0);
+        for (of, against) in [(i, j), (j, i)] {
+            let (of, against) = (&self.sheets[of], &self.sheets[against]);
+            for (p, n) in of.contacts.positions().iter().zip(&of.normals) {
+                let Some((k, d2)) = against.contacts.nearest_one(p) else {
+                    continue;
+                };
+                let height = against.field.value(p);
+                if d2 < reach * reach && height.is_finite() {
+                    behind += height;
+                    turn += n.angle(&against.normals[k]);
+                    count += 1.0;
+                }
+            }
+        }
+        if count == 0.0 || (!broken && turn < EDGE_TURN * count) {
+            Edge::None
+        } else if behind < 0.0 {
             Edge::Outer
         } else {
             Edge::Inner
