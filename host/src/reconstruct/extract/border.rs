@@ -22,6 +22,10 @@ use super::contacts::Normalised;
 /// hole of a scanned bunny's base has 2 %, the missing half of a half-touched ball 100 %, a bowl's opening 60 %.
 pub(super) const CLOSED_SHARE: f64 = 0.12;
 
+/// Share of the supported area up to which a place without support is a speck, not a hole: a few faces that a jag of the
+/// lattice turned away from their contacts.
+const SPECK_SHARE: f64 = 0.002;
+
 /// What happened to one hole of the data.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hole {
@@ -103,6 +107,7 @@ pub(super) fn close_or_open(
     let on_border = border_vertices(&mesh);
     let mut holes: Vec<Hole> = Vec::new();
     let mut number: HashMap<usize, usize> = HashMap::new();
+    let mut at_border: Vec<bool> = Vec::new();
     let mut supported = 0.0;
     for v in 0..mesh.positions.len() {
         if !inside(v as u32) {
@@ -119,12 +124,14 @@ pub(super) fn close_or_open(
                 closed: false,
             });
         }
+        at_border.resize(holes.len(), false);
         let hole = &mut holes[n];
         if support[v] > hole.depth {
             hole.depth = support[v];
             hole.place = mesh.positions[v];
         }
         hole.bounded &= !on_border[v] && support[v] < closing.reach;
+        at_border[n] |= on_border[v];
     }
     for f in &mesh.faces {
         let [a, b, c] = f.map(|i| mesh.positions[i as usize]);
@@ -138,11 +145,12 @@ pub(super) fn close_or_open(
             None => supported += area,
         }
     }
-    for hole in &mut holes {
+    for (hole, at_border) in holes.iter_mut().zip(at_border) {
         hole.area_share /= f64::max(supported, f64::MIN_POSITIVE);
+        hole.bounded |= hole.area_share <= SPECK_SHARE && !at_border;
         hole.closed = hole.bounded
             && match closing.deepest {
-                Some(deepest) => hole.depth <= deepest,
+                Some(deepest) => hole.depth <= deepest || hole.area_share <= SPECK_SHARE,
                 None => hole.area_share <= CLOSED_SHARE,
             };
     }

@@ -1,8 +1,8 @@
 //! Inside or outside where the contacts leave no doubt.
 //!
 //! Away from the contacts a field may turn over: inside a thick wall, in a tube, behind the end of a sheet it can cross
-//! zero without any surface there, and such phantoms hang on the surface by pinholes. But a place that all contacts around
-//! see behind them, the nearest one straight ahead, lies inside; one that they all see before them lies outside. There the
+//! zero without any surface there, and such phantoms hang on the surface by pinholes. But a place that the nearest contact
+//! sees straight behind it lies inside, and straight before it outside, if no other contact around sees it otherwise. There the
 //! distance to the nearest tangent plane (the paper's field) takes the field's place; beside the contacts, in gaps, the
 //! field alone decides.
 //!
@@ -20,6 +20,10 @@ const WITNESS_RATIO: f64 = 1.5;
 const AHEAD: [f64; 2] = [0.5, 0.8];
 /// Distance from the nearest contact, in spacings, from which, and at which, the field is no longer asked.
 const AWAY: [f64; 2] = [0.7, 1.4];
+
+/// Distance from the nearest contact, in spacings, beyond which no gap is in doubt (cubes and cylinders with gaps up to 5
+/// spacings wide: lower values take the planes of their sides for the surface in the gaps at their edges).
+const FAR: f64 = 3.5;
 
 /// What the contacts say about inside and outside, in normalised coordinates.
 pub(super) struct Sides<'a> {
@@ -53,7 +57,12 @@ impl<'a> Sides<'a> {
         let unanimous = near
             .iter()
             .take_while(|(_, other)| *other <= WITNESS_RATIO * WITNESS_RATIO * d2)
-            .all(|&(j, _)| height(j) * plane > 0.0);
+            .all(|&(j, d2)| {
+                // Far away one that sees the place from beside has nothing to say; near an edge it has.
+                let height = height(j);
+                let beside = height * height < AHEAD[0] * AHEAD[0] * d2;
+                height * plane > 0.0 || (beside && distance > FAR * self.spacing)
+            });
         match (unanimous, value.is_finite()) {
             (true, true) => value + weight * (plane - value),
             (true, false) => plane,
