@@ -58,10 +58,11 @@ impl<'a> Sides<'a> {
             .iter()
             .take_while(|(_, other)| *other <= WITNESS_RATIO * WITNESS_RATIO * d2)
             .all(|&(j, d2)| {
-                // Far away one that sees the place from beside has nothing to say; near an edge it has.
+                // Far outside one that sees the place from beside has nothing to say; near an edge it has.
                 let height = height(j);
                 let beside = height * height < AHEAD[0] * AHEAD[0] * d2;
-                height * plane > 0.0 || (beside && distance > FAR * self.spacing)
+                let far_outside = plane > 0.0 && distance > FAR * self.spacing;
+                height * plane > 0.0 || (beside && far_outside)
             });
         match (unanimous, value.is_finite()) {
             (true, true) => value + weight * (plane - value),
