@@ -1,5 +1,6 @@
 //! The driver: runs the four phases one after the other and says what each did.
 
+use super::averaging::{self, Averaged};
 use super::chart::phases::{Prepared, chart_phases};
 use super::chart::{ChartFitError, ChartOptions};
 use super::creases::{CreaseOptions, Creased, Sheets};
@@ -207,8 +208,19 @@ fn run(
     let mut extract_options = options.extract.clone();
     extract_options.spacing = extract_options.spacing.map(|s| s / frame.scale);
     extract_options.max_gap = extract_options.max_gap.map(|g| g / frame.scale);
-    let extracted = extract::extract(&inner, &extract_options)?;
-    let (extracted, creased) = find_creases(&inner, extracted, options, &extract_options)?;
+    // Dense tracks are averaged for the phases that look at neighbourhoods; the fit hears every contact.
+    let averaged = averaging::average(&inner);
+    let spread = averaged.as_ref().map_or(&inner, |a| &a.cloud);
+    let extracted = extract::extract(spread, &extract_options)?;
+    let (mut extracted, creased) = find_creases(spread, extracted, options, &extract_options)?;
+    if let Some(averaged) = &averaged {
+        of_single_contacts(&mut extracted, averaged);
+        out.report.notes.push(format!(
+            "{} contacts lie so densely on their tracks that they were averaged in {} narrow regions before phase 1",
+            inner.points.len(),
+            averaged.members.len()
+        ));
+    }
     out.extracted = frame.mesh(&extracted.mesh);
     let noise = extracted.noise;
     out.report.input.used = cloud.points.len() - extracted.outliers.len();
@@ -220,7 +232,7 @@ fn run(
         triangles: Some(extracted.mesh.faces.len()),
         ..PhaseFigures::default()
     });
-    out.report.notes = notes(&extracted, &frame);
+    out.report.notes.extend(notes(&extracted, &frame));
     if options.stop_after == Stage::Extract {
         out.report.seconds = begin.elapsed().as_secs_f64();
         return Ok(out);
@@ -229,7 +241,7 @@ fn run(
     progress(Progress::Phase("simplify"));
     let started = Instant::now();
     let (tolerance, tolerance_from) = tolerance(options, &frame, noise.position_sigma);
-    let simplified = simplify_mesh(&inner, &extracted, &creased, options, tolerance)?;
+    let simplified = simplify_mesh(spread, &extracted, &creased, options, tolerance)?;
     out.simplified = Some(frame.mesh(&simplified.mesh));
     out.report.phases.push(PhaseFigures {
         name: "simplify".into(),
@@ -333,6 +345,20 @@ fn run(
     );
     out.report.seconds = begin.elapsed().as_secs_f64();
     Ok(out)
+}
+
+/// Outliers and noise of the averages as those of the contacts that went into them.
+fn of_single_contacts(extracted: &mut Extracted, averaged: &Averaged) {
+    let regions = extracted.outliers.iter();
+    let mut outliers: Vec<usize> = regions
+        .flat_map(|region| &averaged.members[*region])
+        .map(|contact| *contact as usize)
+        .collect();
+    outliers.sort_unstable();
+    extracted.outliers = outliers;
+    let noise = &mut extracted.noise;
+    noise.position_sigma = noise.position_sigma.max(averaged.position_scatter);
+    noise.normal_sigma = noise.normal_sigma.max(averaged.normal_scatter);
 }
 
 /// What phase 1 decided.

@@ -1,5 +1,6 @@
 //! The four phases, and the driver that runs them. The only place where cloud, mesh and spline meet.
 
+pub mod averaging;
 pub mod chart;
 pub mod creases;
 mod driver;
