@@ -6,13 +6,10 @@
 use crate::cloud::Cloud;
 use crate::evaluate::{EvaluateError, Evaluation, Shape, compare};
 use crate::hand::Hand;
-use crate::link::port::DEFAULT_BAUD;
 use crate::reconstruct::{Options, Progress, ReconstructError, Reconstruction, reconstruct};
 use crate::run::capture::{CaptureError, CaptureEvent, CaptureSettings, CaptureSummary, capture};
 use crate::run::points::{PointsError, RunReport, points};
 use crate::simulate::{HandOptions, Object, SimulateError, SimulatedHand};
-use palpus_protocol::Streams;
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -91,23 +88,16 @@ pub fn demo(
 ) -> Result<Demo, DemoError> {
     let simulated = SimulatedHand::start(hand)?;
     let settings = CaptureSettings {
-        fingers: simulated
-            .ports()
-            .iter()
-            .map(|port| (port.finger.clone(), port.port.display().to_string()))
-            .collect(),
-        hand: vec![("hand.urdf".into(), Hand::THREE_FINGER_URDF.into())],
-        output: run.to_owned(),
         replace: true,
-        baud: DEFAULT_BAUD,
-        streams: Streams {
-            contact_every: 1,
-            raw_every: 0,
-        },
-        tare: None,
-        duration: None,
-        points: None,
-        notes: BTreeMap::new(),
+        ..CaptureSettings::every_contact(
+            simulated
+                .ports()
+                .iter()
+                .map(|port| (port.finger.clone(), port.port.display().to_string()))
+                .collect(),
+            vec![("hand.urdf".into(), Hand::THREE_FINGER_URDF.into())],
+            run.to_owned(),
+        )
     };
     let done = AtomicBool::new(false);
     let explored = AtomicBool::new(false);

@@ -9,10 +9,10 @@ use palpus_host::link::host_clock::HostClock;
 use palpus_host::link::port::DEFAULT_BAUD;
 use palpus_host::run::capture::{CaptureSettings, capture};
 use palpus_host::run::reader::{Run, RunItem};
-use palpus_protocol::{BoardMessage, Streams};
+use palpus_protocol::BoardMessage;
 use palpus_tests::bench_board::{BenchBoard, BenchSettings};
 use palpus_tests::fault_line::{FaultLine, Faults, LineFaults};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -106,19 +106,12 @@ fn measure(
     bench.press(true);
     let line = FaultLine::start(bench.path(), &link, LineFaults::default(), seed);
     let settings = CaptureSettings {
-        fingers: vec![("index".into(), link.to_string_lossy().into_owned())],
-        hand: vec![("three_finger.urdf".into(), Hand::THREE_FINGER_URDF.into())],
-        output: output.clone(),
         replace: true,
-        baud: DEFAULT_BAUD,
-        streams: Streams {
-            contact_every: 1,
-            raw_every: 0,
-        },
-        tare: None,
-        duration: None,
-        points: None,
-        notes: BTreeMap::new(),
+        ..CaptureSettings::every_contact(
+            vec![("index".into(), link.to_string_lossy().into_owned())],
+            vec![("three_finger.urdf".into(), Hand::THREE_FINGER_URDF.into())],
+            output.clone(),
+        )
     };
     let stop = AtomicBool::new(false);
     let mut cleared_us = 0;

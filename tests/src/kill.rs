@@ -4,10 +4,7 @@
 //! it is killed.
 
 use palpus_host::hand::Hand;
-use palpus_host::link::port::DEFAULT_BAUD;
 use palpus_host::run::capture::{CaptureEvent, CaptureSettings, capture};
-use palpus_protocol::Streams;
-use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -25,19 +22,12 @@ pub fn capture_if_child() {
     let (finger, output) = task.split_once(';').expect("FINGER=PORT;OUTPUT");
     let (name, port) = finger.split_once('=').expect("FINGER=PORT");
     let settings = CaptureSettings {
-        fingers: vec![(name.into(), port.into())],
-        hand: vec![("three_finger.urdf".into(), Hand::THREE_FINGER_URDF.into())],
-        output: output.into(),
         replace: true,
-        baud: DEFAULT_BAUD,
-        streams: Streams {
-            contact_every: 1,
-            raw_every: 0,
-        },
-        tare: None,
-        duration: None,
-        points: None,
-        notes: BTreeMap::new(),
+        ..CaptureSettings::every_contact(
+            vec![(name.into(), port.into())],
+            vec![("three_finger.urdf".into(), Hand::THREE_FINGER_URDF.into())],
+            output.into(),
+        )
     };
     let mut said = false;
     let result = capture(&settings, &AtomicBool::new(false), &mut |event| {

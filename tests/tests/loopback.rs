@@ -10,10 +10,9 @@ use palpus_host::run::capture::{
     CaptureError, CaptureEvent, CaptureSettings, CaptureSummary, End, capture,
 };
 use palpus_host::run::points::points;
-use palpus_protocol::Streams;
 use palpus_tests::bench_board::{BenchBoard, BenchSettings, RADIUS_MM, pressed_at};
 use palpus_tests::fault_line::{FaultLine, Faults, LineFaults};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -31,21 +30,7 @@ fn finger_names() -> Vec<String> {
 }
 
 fn settings(fingers: &[(String, String)], output: &Path) -> CaptureSettings {
-    CaptureSettings {
-        fingers: fingers.to_vec(),
-        hand: hand(),
-        output: output.into(),
-        replace: false,
-        baud: DEFAULT_BAUD,
-        streams: Streams {
-            contact_every: 1,
-            raw_every: 0,
-        },
-        tare: None,
-        duration: None,
-        points: None,
-        notes: BTreeMap::new(),
-    }
+    CaptureSettings::every_contact(fingers.to_vec(), hand(), output.into())
 }
 
 /// Three boards, tared and pressed.

@@ -18,6 +18,7 @@ use crate::Vec3;
 use crate::hand::{Finger, Hand};
 use crate::link::LinkError;
 use crate::link::host_clock::HostClock;
+use crate::link::port::DEFAULT_BAUD;
 use crate::link::session::{LinkEvent, LinkStatus, Session, SessionSettings, Weight};
 use palpus_protocol::{Contact, Identity, Streams};
 use std::collections::BTreeMap;
@@ -59,6 +60,31 @@ pub struct CaptureSettings {
     pub points: Option<u64>,
     /// Anything to keep in the run's metadata.
     pub notes: BTreeMap<String, String>,
+}
+
+impl CaptureSettings {
+    /// Every contact of `fingers` into the new file `output` until stopped: no raw frames, no tare, no limits.
+    pub fn every_contact(
+        fingers: Vec<(String, String)>,
+        hand: Vec<(String, String)>,
+        output: PathBuf,
+    ) -> Self {
+        Self {
+            fingers,
+            hand,
+            output,
+            replace: false,
+            baud: DEFAULT_BAUD,
+            streams: Streams {
+                contact_every: 1,
+                raw_every: 0,
+            },
+            tare: None,
+            duration: None,
+            points: None,
+            notes: BTreeMap::new(),
+        }
+    }
 }
 
 /// What a capture tells while it runs.

@@ -188,19 +188,24 @@ impl Surface {
 pub fn casteljau(control_points: &[Vec3; CONTROL_POINTS], barycentric: [f64; 3]) -> Vec3 {
     let mut points = *control_points;
     for degree in (0..DEGREE).rev() {
-        let mut row = 0;
-        for rest in 0..=degree {
-            for k in 0..=rest {
-                let first = rest * (rest + 1) / 2 + k;
-                let next = (rest + 1) * (rest + 2) / 2 + k;
-                points[row] = points[first] * barycentric[0]
-                    + points[next] * barycentric[1]
-                    + points[next + 1] * barycentric[2];
-                row += 1;
-            }
-        }
+        lower(&mut points, degree, barycentric);
     }
     points[0]
+}
+
+/// One step of de Casteljau's algorithm: the points of degree + 1 in front become those of `degree`.
+pub(super) fn lower(points: &mut [Vec3; CONTROL_POINTS], degree: usize, barycentric: [f64; 3]) {
+    let mut row = 0;
+    for rest in 0..=degree {
+        for k in 0..=rest {
+            let first = rest * (rest + 1) / 2 + k;
+            let next = (rest + 1) * (rest + 2) / 2 + k;
+            points[row] = points[first] * barycentric[0]
+                + points[next] * barycentric[1]
+                + points[next + 1] * barycentric[2];
+            row += 1;
+        }
+    }
 }
 
 /// Weighted sum of a patch's control points.

@@ -131,8 +131,8 @@ impl SheetField {
         }
     }
 
-    /// The sheet that bounds the solid nearest to `x`; `None` without sheets.
-    fn leading(&self, x: &Vec3) -> Option<&Sheet> {
+    /// The sheet that bounds the solid nearest to `x`, and its field's value there; `None` without sheets.
+    fn leading(&self, x: &Vec3) -> Option<(&Sheet, f64)> {
         let away: Vec<f64> = self
             .sheets
             .iter()
@@ -151,7 +151,7 @@ impl SheetField {
             .collect();
         let count = self.sheets.len();
         // The sheet that prevails against most of those it breaks with; of equals the nearest.
-        let best = heard.iter().max_by(|(i, f), (j, g)| {
+        let (best, value) = *heard.iter().max_by(|(i, f), (j, g)| {
             let losses = |i: usize, f: f64| {
                 let lost = heard
                     .iter()
@@ -167,25 +167,25 @@ impl SheetField {
                 .then(away[*j].total_cmp(&away[*i]))
                 .then(j.cmp(i))
         })?;
-        self.sheets.get(best.0)
+        Some((self.sheets.get(best)?, value))
     }
 
     /// Value at `x`; NaN where nothing speaks.
     pub(super) fn value(&self, x: &Vec3) -> f64 {
-        self.leading(x).map_or(f64::NAN, |s| s.field.value(x))
+        self.leading(x).map_or(f64::NAN, |(_, value)| value)
     }
 
     /// Value and gradient at `x`; NaN where nothing speaks.
     pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
         self.leading(x).map_or_else(
             || (f64::NAN, Vec3::repeat(f64::NAN)),
-            |s| s.field.value_and_gradient(x),
+            |(s, _)| s.field.value_and_gradient(x),
         )
     }
 
     /// Standard deviation of the leading sheet's fits.
     pub(super) fn sigma(&self, x: &Vec3) -> Option<f64> {
-        self.leading(x)?.field.sigma(x)
+        self.leading(x)?.0.field.sigma(x)
     }
 
     /// Number of local fits.

@@ -24,7 +24,7 @@ pub use tree::SurfaceTree;
 
 use super::bernstein::CONTROL_POINTS;
 use super::local_shape::LocalShape;
-use super::surface::Surface;
+use super::surface::{Surface, lower};
 use crate::Vec3;
 
 /// Point and derivatives of a patch.
@@ -42,25 +42,15 @@ pub struct PatchJet {
 /// control points.
 pub fn patch_jet(control_points: &[Vec3; CONTROL_POINTS], barycentric: [f64; 3]) -> PatchJet {
     let mut points = *control_points;
-    let mut lower = |degree: usize| {
-        let mut row = 0;
-        for rest in 0..=degree {
-            for k in 0..=rest {
-                let first = rest * (rest + 1) / 2 + k;
-                let next = (rest + 1) * (rest + 2) / 2 + k;
-                points[row] = points[first] * barycentric[0]
-                    + points[next] * barycentric[1]
-                    + points[next + 1] * barycentric[2];
-                row += 1;
-            }
-        }
+    let mut front = |degree: usize| {
+        lower(&mut points, degree, barycentric);
         [0, 1, 2, 3, 4, 5].map(|k| points[k])
     };
-    lower(4);
-    lower(3);
-    let q = lower(2);
-    let l = lower(1);
-    let [point, ..] = lower(0);
+    front(4);
+    front(3);
+    let q = front(2);
+    let l = front(1);
+    let [point, ..] = front(0);
     PatchJet {
         point,
         first: [(l[1] - l[0]) * 5.0, (l[2] - l[0]) * 5.0],
