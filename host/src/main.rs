@@ -5,6 +5,11 @@ mod cli;
 use clap::Parser;
 use std::process::ExitCode;
 
+/// Small systems are factored by the thousand: with the C library's allocator a fifth of the time of `reconstruct` goes
+/// into giving their pages back and taking them again.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Touch a thing, get its surface.
 #[derive(Parser)]
 #[command(name = "palpus", version, about)]

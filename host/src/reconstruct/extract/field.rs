@@ -125,7 +125,8 @@ impl Shape {
             } else {
                 step
             };
-            if length < 1e-7 {
+            // What is left after a Newton step is about its square times a curvature.
+            if length < 1e-4 {
                 return Some(at);
             }
         }

@@ -10,7 +10,12 @@
 //! Coordinates are local: the contacts lie in the unit ball. Lengths and field values scale with the radius,
 //! gradients do not.
 
-use faer::{Mat, Par, Side, linalg::solvers::Llt, linalg::triangular_inverse};
+use faer::{
+    Mat, Par, Spec,
+    dyn_stack::{MemBuffer, MemStack},
+    linalg::cholesky::llt::factor as cholesky,
+    linalg::triangular_inverse,
+};
 
 use super::{kernel::Kernel, orthogonal::Orthogonal};
 use crate::Vec3;
@@ -102,22 +107,36 @@ impl LocalProblem {
         self.kernel
     }
 
-    fn factor(&self, tau2: f64) -> Option<Llt<f64>> {
+    /// Lower Cholesky factor of `tau^2 A + I`; what stands above its diagonal means nothing.
+    fn factor(&self, tau2: f64) -> Option<Mat<f64>> {
         let rank = self.polynomials.rank();
         let m = self.projected.nrows() - rank;
-        let inner = self.projected.submatrix(rank, rank, m, m);
-        let system = Mat::from_fn(m, m, |i, j| {
-            tau2 * inner[(i, j)] + if i == j { 1.0 } else { 0.0 }
-        });
-        Llt::new(system.as_ref(), Side::Lower).ok()
+        let mut system = self.projected.submatrix(rank, rank, m, m).to_owned();
+        for j in 0..m {
+            let below = &mut system.col_as_slice_mut(j)[j..];
+            for x in below.iter_mut() {
+                *x *= tau2;
+            }
+            below[0] += 1.0;
+        }
+        let need = cholesky::cholesky_in_place_scratch::<f64>(m, Par::Seq, Spec::default());
+        cholesky::cholesky_in_place(
+            system.as_mut(),
+            cholesky::LltRegularization::default(),
+            Par::Seq,
+            MemStack::new(&mut MemBuffer::new(need)),
+            Spec::default(),
+        )
+        .ok()
+        .map(|_| system)
     }
 
     /// Solves `L u = b` for the reduced data.
-    fn forward(&self, factor: &Llt<f64>) -> Mat<f64> {
+    fn forward(&self, factor: &Mat<f64>) -> Mat<f64> {
         let rest = &self.data[self.polynomials.rank()..];
         let mut u = Mat::from_fn(rest.len(), 1, |i, _| rest[i]);
         faer::linalg::triangular_solve::solve_lower_triangular_in_place(
-            factor.L(),
+            factor.as_ref(),
             u.as_mut(),
             Par::Seq,
         );
@@ -129,8 +148,7 @@ impl LocalProblem {
         let factor = self.factor(tau2)?;
         let u = self.forward(&factor);
         let quadratic: f64 = u.col(0).iter().map(|x| x * x).sum();
-        let l = factor.L();
-        let logarithm: f64 = (0..l.nrows()).map(|i| l[(i, i)].ln()).sum();
+        let logarithm: f64 = (0..factor.nrows()).map(|i| factor[(i, i)].ln()).sum();
         Some(0.5 * quadratic + logarithm).filter(|e| e.is_finite())
     }
 
@@ -139,7 +157,7 @@ impl LocalProblem {
         let factor = self.factor(tau2)?;
         let mut z = self.forward(&factor);
         faer::linalg::triangular_solve::solve_upper_triangular_in_place(
-            factor.L().transpose(),
+            factor.transpose(),
             z.as_mut(),
             Par::Seq,
         );
@@ -179,7 +197,7 @@ impl LocalProblem {
 
     /// Posterior variance of the value at the origin: that of the best unbiased estimate u^T y, where u solves the
     /// kriging system with the polynomials as constraints.
-    fn centre_variance(&self, factor: &Llt<f64>, tau2: f64) -> f64 {
+    fn centre_variance(&self, factor: &Mat<f64>, tau2: f64) -> f64 {
         let rank = self.polynomials.rank();
         let n = self.data.len();
         let mut cross: Vec<f64> = self
@@ -208,7 +226,7 @@ impl LocalProblem {
             .map(|i| (0..rank).map(|j| self.projected[(i, j)] * u[j]).sum())
             .collect();
         faer::linalg::triangular_solve::solve_lower_triangular_in_place(
-            factor.L(),
+            factor.as_ref(),
             rest.as_mut(),
             Par::Seq,
         );
@@ -226,7 +244,7 @@ impl LocalProblem {
         let factor = self.factor(tau2)?;
         let mut z = self.forward(&factor);
         faer::linalg::triangular_solve::solve_upper_triangular_in_place(
-            factor.L().transpose(),
+            factor.transpose(),
             z.as_mut(),
             Par::Seq,
         );
@@ -237,7 +255,7 @@ impl LocalProblem {
         }
         self.polynomials.apply(&mut alpha);
         let mut inverse = Mat::<f64>::zeros(z.nrows(), z.nrows());
-        triangular_inverse::invert_lower_triangular(inverse.as_mut(), factor.L(), Par::Seq);
+        triangular_inverse::invert_lower_triangular(inverse.as_mut(), factor.as_ref(), Par::Seq);
         let half = self.polynomials.complete_right(&inverse);
         let precision: Vec<f64> = (0..half.ncols())
             .map(|j| half.col(j).iter().map(|x| x * x).sum())
@@ -279,11 +297,16 @@ fn covariance(kernel: Kernel, nodes: &[Vec3], weight: &[f64]) -> Mat<f64> {
                 }
                 block[a + 1][a + 1] -= r.a;
             }
-            for a in 0..4 {
-                for b in 0..4 {
-                    let value = block[a][b] * wi[a] * wj[b];
-                    k[(4 * i + a, 4 * j + b)] = value;
-                    k[(4 * j + b, 4 * i + a)] = value;
+            for (b, wb) in wj.iter().enumerate() {
+                let below = &mut k.col_as_slice_mut(4 * j + b)[4 * i..4 * i + 4];
+                for (a, x) in below.iter_mut().enumerate() {
+                    *x = block[a][b] * wi[a] * wb;
+                }
+            }
+            for (a, wa) in wi.iter().enumerate() {
+                let right = &mut k.col_as_slice_mut(4 * i + a)[4 * j..4 * j + 4];
+                for (b, x) in right.iter_mut().enumerate() {
+                    *x = block[a][b] * wa * wj[b];
                 }
             }
         }

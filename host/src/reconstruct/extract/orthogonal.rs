@@ -27,7 +27,10 @@ impl Orthogonal {
         let mut beta = Vec::with_capacity(columns);
         let mut largest = 0.0_f64;
         for step in 0..columns.min(rows) {
-            let norm = |j: usize| -> f64 { (step..rows).map(|i| a[(i, j)] * a[(i, j)]).sum() };
+            let norm = |j: usize| {
+                let rest = &a.col_as_slice(j)[step..];
+                dot(rest, rest)
+            };
             let (mut pivot, mut best) = (step, norm(step));
             for j in step + 1..columns {
                 let candidate = norm(j);
@@ -53,22 +56,20 @@ impl Orthogonal {
             } else {
                 length
             };
-            for i in step..rows {
-                v[(i, step)] = a[(i, step)];
-            }
-            v[(step, step)] -= head;
-            let squared: f64 = (step..rows).map(|i| v[(i, step)] * v[(i, step)]).sum();
-            let factor = 2.0 / squared;
+            let direction = &mut v.col_as_slice_mut(step)[step..];
+            direction.copy_from_slice(&a.col_as_slice(step)[step..]);
+            direction[0] -= head;
+            let factor = 2.0 / dot(direction, direction);
             for j in step + 1..columns {
-                let dot: f64 = (step..rows).map(|i| v[(i, step)] * a[(i, j)]).sum();
-                for i in step..rows {
-                    a[(i, j)] -= factor * dot * v[(i, step)];
+                let column = &mut a.col_as_slice_mut(j)[step..];
+                let along = factor * dot(direction, column);
+                for (x, d) in column.iter_mut().zip(&*direction) {
+                    *x -= along * d;
                 }
             }
-            a[(step, step)] = head;
-            for i in step + 1..rows {
-                a[(i, step)] = 0.0;
-            }
+            let column = &mut a.col_as_slice_mut(step)[step..];
+            column.fill(0.0);
+            column[0] = head;
             beta.push(factor);
         }
         let rank = beta.len();
@@ -77,7 +78,7 @@ impl Orthogonal {
         for j in 0..rank {
             t[(j, j)] = beta[j];
             let dots: Vec<f64> = (0..j)
-                .map(|k| (j..rows).map(|i| v[(i, k)] * v[(i, j)]).sum())
+                .map(|k| dot(&v.col_as_slice(k)[j..], &v.col_as_slice(j)[j..]))
                 .collect();
             for i in 0..j {
                 let sum: f64 = (i..j).map(|k| t[(i, k)] * dots[k]).sum();
@@ -105,9 +106,7 @@ impl Orthogonal {
 
     fn apply_with(&self, x: &mut [f64], transposed: bool) {
         let rank = self.rank();
-        let projected: Vec<f64> = (0..rank)
-            .map(|j| self.v.col(j).iter().zip(&*x).map(|(v, x)| v * x).sum())
-            .collect();
+        let projected: Vec<f64> = (0..rank).map(|j| dot(self.v.col_as_slice(j), x)).collect();
         for j in 0..rank {
             let weight: f64 = (0..rank)
                 .map(|k| {
@@ -119,7 +118,7 @@ impl Orthogonal {
                         }
                 })
                 .sum();
-            for (x, v) in x.iter_mut().zip(self.v.col(j).iter()) {
+            for (x, v) in x.iter_mut().zip(self.v.col_as_slice(j)) {
                 *x -= weight * v;
             }
         }
@@ -224,6 +223,24 @@ impl Orthogonal {
         }
         c
     }
+}
+
+/// Inner product, summed in four lanes.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let (a4, b4) = (a.chunks_exact(4), b.chunks_exact(4));
+    let rest: f64 = a4
+        .remainder()
+        .iter()
+        .zip(b4.remainder())
+        .map(|(x, y)| x * y)
+        .sum();
+    let mut lanes = [0.0; 4];
+    for (x, y) in a4.zip(b4) {
+        for l in 0..4 {
+            lanes[l] += x[l] * y[l];
+        }
+    }
+    (lanes[0] + lanes[2]) + (lanes[1] + lanes[3]) + rest
 }
 
 fn product(

@@ -10,6 +10,7 @@
 //! Third derivatives and the jump of curvature across edges hold what the data leave open. A round that
 //! makes things worse is thrown away.
 
+mod cholesky;
 pub mod foot;
 pub mod system;
 

@@ -7,14 +7,12 @@
 //! Unknowns are control points as blocks of three coordinates: the distance along a surface normal couples
 //! x, y and z. Entries are added in a fixed order on one thread, so results do not depend on threads.
 
+use super::cholesky::{BlockPattern, Cholesky};
 use crate::Vec3;
 use crate::spline::bernstein::CONTROL_POINTS;
 use crate::spline::energy::{PatchForm, THIN_PLATE, THIRD, jump_rows};
 use crate::spline::network::{Equation, Network};
-use faer::linalg::solvers::Solve;
-use faer::prelude::*;
-use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
-use faer::sparse::{SparseColMat, SparseColMatRef, SymbolicSparseColMat, Triplet};
+use faer::Mat;
 use nalgebra::Matrix3;
 use std::sync::LazyLock;
 
@@ -114,11 +112,10 @@ pub struct System {
     energy: Vec<f64>,
     penalty: Vec<f64>,
     equations: Vec<Equation>,
-    columns: Vec<usize>,
-    pattern: SymbolicSparseColMat<usize>,
-    symbolic: SymbolicLlt<usize>,
-    /// Factor of A A^T.
-    gram: Llt<usize, f64>,
+    /// H + rho A^T A.
+    matrix: Cholesky,
+    /// A A^T, factored.
+    gram: Cholesky,
 }
 
 /// Energy of one patch: third derivatives, and a thousandth of the thin plate that keeps quadratics bounded
@@ -212,12 +209,14 @@ impl System {
         for (scale, row) in &jumps {
             square(&mut energy, row, *scale);
         }
-        let (columns, indices) = expand(count, &starts, &rows);
-        let pattern =
-            SymbolicSparseColMat::new_checked(3 * count, 3 * count, columns.clone(), None, indices);
-        let symbolic = SymbolicLlt::try_new(pattern.as_ref(), faer::Side::Lower)
-            .map_err(|e| SystemError::Factor(format!("{e:?}")))?;
+        let blocks = BlockPattern {
+            starts: &starts,
+            rows: &rows,
+            size: 3,
+        };
+        let matrix = Cholesky::new(&blocks, 1).map_err(SystemError::Factor)?;
         Ok(Self {
+            matrix,
             count,
             starts,
             rows,
@@ -225,11 +224,8 @@ impl System {
             patch_blocks,
             energy,
             penalty,
-            gram: gram(&equations, count)?,
+            gram: gram(&equations, count).map_err(SystemError::Factor)?,
             equations,
-            columns,
-            pattern,
-            symbolic,
         })
     }
 
@@ -239,14 +235,14 @@ impl System {
     /// # Errors
     /// When the factorisation fails or the result is not finite.
     pub fn solve(
-        &self,
+        &mut self,
         sums: &[PatchSums],
         jump: f64,
         tether: f64,
         previous: &[Vec3],
         size: f64,
     ) -> Result<Vec<Vec3>, SystemError> {
-        let mut values = vec![0.0; self.pattern.row_idx().len()];
+        let mut values = vec![0.0; self.matrix.entries()];
         let mut right = vec![Vec3::zeros(); self.count];
         for (patch, blocks) in sums.iter().zip(&self.patch_blocks) {
             for (block, sum) in blocks.iter().zip(&patch.blocks) {
@@ -266,7 +262,7 @@ impl System {
         let mut mean = 0.0;
         for column in 0..self.count {
             for k in 0..3 {
-                mean += values[self.columns[3 * column + k]];
+                mean += values[self.matrix.columns()[3 * column + k]];
             }
         }
         mean /= (3 * self.count).max(1) as f64;
@@ -282,9 +278,7 @@ impl System {
         for (block, penalty) in self.penalty.iter().enumerate() {
             self.add_scalar(&mut values, block, rho * penalty);
         }
-        let matrix = SparseColMatRef::new(self.pattern.as_ref(), &values);
-        let factor = Llt::try_new_with_symbolic(self.symbolic.clone(), matrix, faer::Side::Lower)
-            .map_err(|e| SystemError::Factor(format!("{e:?}")))?;
+        self.matrix.factor(&values).map_err(SystemError::Factor)?;
         let mut multipliers = vec![Vec3::zeros(); self.equations.len()];
         let mut points = vec![Vec3::zeros(); self.count];
         for _ in 0..MULTIPLIER_STEPS {
@@ -295,7 +289,7 @@ impl System {
                 }
             }
             let mut vector = Mat::from_fn(3 * self.count, 1, |row, _| load[row / 3][row % 3]);
-            factor.solve_in_place(vector.as_mut());
+            self.matrix.solve(&mut vector);
             points = (0..self.count)
                 .map(|n| Vec3::from_fn(|k, _| vector[(3 * n + k, 0)]))
                 .collect();
@@ -330,7 +324,7 @@ impl System {
 
     /// Moves the points the least way onto the space of the G1 equations: x -= A^T (A A^T + d)^-1 A x,
     /// repeated because of the small d that bridges redundant equations.
-    fn project(&self, points: &mut [Vec3], size: f64) {
+    fn project(&mut self, points: &mut [Vec3], size: f64) {
         let mut last = f64::INFINITY;
         for _ in 0..PROJECTION_STEPS {
             let residuals = self.residuals(points);
@@ -340,7 +334,7 @@ impl System {
             }
             last = worst;
             let mut vector = Mat::from_fn(residuals.len(), 3, |row, k| residuals[row][k]);
-            self.gram.solve_in_place(vector.as_mut());
+            self.gram.solve(&mut vector);
             for (row, equation) in self.equations.iter().enumerate() {
                 let pull = Vec3::from_fn(|k, _| vector[(row, k)]);
                 for (number, weight) in &equation.terms {
@@ -357,7 +351,7 @@ impl System {
         let column = self.block_columns[block] as usize;
         let place = block - self.starts[column];
         for k in 0..3 {
-            let start = self.columns[3 * column + k];
+            let start = self.matrix.columns()[3 * column + k];
             if row == column {
                 for i in k..3 {
                     values[start + i - k] += m[SLOT[i][k]];
@@ -378,31 +372,54 @@ impl System {
 }
 
 /// Factors A A^T (with a little on the diagonal for redundant equations).
-fn gram(equations: &[Equation], count: usize) -> Result<Llt<usize, f64>, SystemError> {
-    let mut by_point: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count];
+fn gram(equations: &[Equation], count: usize) -> Result<Cholesky, String> {
+    let mut by_point: Vec<Vec<(u32, f64)>> = vec![Vec::new(); count];
     for (row, equation) in equations.iter().enumerate() {
         for (number, weight) in &equation.terms {
-            by_point[*number as usize].push((row, *weight));
+            by_point[*number as usize].push((row as u32, *weight));
         }
     }
-    let mut triplets = Vec::new();
+    let mut products = Vec::new();
     let mut trace = 0.0;
     for terms in &by_point {
         for (place, (a, wa)) in terms.iter().enumerate() {
             trace += wa * wa;
             for (b, wb) in &terms[..=place] {
-                triplets.push(Triplet::new(*a.max(b), *a.min(b), wa * wb));
+                products.push((*b.min(a), *b.max(a), wa * wb));
             }
         }
     }
     let little = REDUNDANCY * trace / equations.len().max(1) as f64;
-    triplets.extend((0..equations.len()).map(|row| Triplet::new(row, row, little)));
-    let matrix = SparseColMat::try_new_from_triplets(equations.len(), equations.len(), &triplets)
-        .map_err(|e| SystemError::Factor(format!("{e:?}")))?;
-    let symbolic = SymbolicLlt::try_new(matrix.symbolic(), faer::Side::Lower)
-        .map_err(|e| SystemError::Factor(format!("{e:?}")))?;
-    Llt::try_new_with_symbolic(symbolic, matrix.as_ref(), faer::Side::Lower)
-        .map_err(|e| SystemError::Factor(format!("{e:?}")))
+    products.extend((0..equations.len() as u32).map(|row| (row, row, little)));
+    // Stable, so that equal places are summed in the order in which they arose.
+    products.sort_by_key(|(column, row, _)| (*column, *row));
+    let mut starts = vec![0];
+    let (mut rows, mut values) = (Vec::new(), Vec::<f64>::new());
+    let mut last = None;
+    for (column, row, value) in products {
+        match values.last_mut() {
+            Some(sum) if last == Some((column, row)) => *sum += value,
+            _ => {
+                while starts.len() <= column as usize {
+                    starts.push(rows.len());
+                }
+                rows.push(row);
+                values.push(value);
+            }
+        }
+        last = Some((column, row));
+    }
+    if !equations.is_empty() {
+        starts.push(rows.len());
+    }
+    let blocks = BlockPattern {
+        starts: &starts,
+        rows: &rows,
+        size: 1,
+    };
+    let mut factor = Cholesky::new(&blocks, 3)?;
+    factor.factor(&values)?;
+    Ok(factor)
 }
 
 /// Entries xx, xy, xz, yy, yz, zz.
@@ -419,22 +436,4 @@ fn upper(m: &Matrix3<f64>) -> [f64; 6] {
 
 fn largest(residuals: &[Vec3]) -> f64 {
     residuals.iter().map(Vec3::norm).fold(0.0, f64::max)
-}
-
-/// Scalar column starts and row indices of the lower triangle from the block pattern.
-fn expand(count: usize, starts: &[usize], rows: &[u32]) -> (Vec<usize>, Vec<usize>) {
-    let mut columns = Vec::with_capacity(3 * count + 1);
-    let mut indices = Vec::with_capacity(9 * rows.len());
-    columns.push(0);
-    for column in 0..count {
-        for k in 0..3 {
-            for row in &rows[starts[column]..starts[column + 1]] {
-                let row = *row as usize;
-                let first = if row == column { k } else { 0 };
-                indices.extend((first..3).map(|i| 3 * row + i));
-            }
-            columns.push(indices.len());
-        }
-    }
-    (columns, indices)
 }
