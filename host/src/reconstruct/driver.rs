@@ -240,7 +240,8 @@ fn run(
 
     progress(Progress::Phase("simplify"));
     let started = Instant::now();
-    let (tolerance, tolerance_from) = tolerance(options, &frame, noise.position_sigma);
+    let (tolerance, tolerance_from) =
+        tolerance(options, &frame, cloud.diagonal(), noise.position_sigma);
     let simplified = simplify_mesh(spread, &extracted, &creased, options, tolerance)?;
     out.simplified = Some(frame.mesh(&simplified.mesh));
     out.report.phases.push(PhaseFigures {
@@ -437,11 +438,12 @@ fn check(options: &Options) -> Result<(), ReconstructError> {
 }
 
 /// The tolerance in the frame, and where it comes from.
-fn tolerance(options: &Options, frame: &Frame, sigma: f64) -> (f64, &'static str) {
+fn tolerance(options: &Options, frame: &Frame, diagonal: f64, sigma: f64) -> (f64, &'static str) {
+    let least = 1e-3 * diagonal / frame.scale;
     match options.tolerance {
         Some(tolerance) => (tolerance / frame.scale, "asked for"),
-        None if 3.0 * sigma > 1e-3 => (3.0 * sigma, "three times the noise found in the data"),
-        None => (1e-3, "1e-3 of the bounding box's diagonal"),
+        None if 3.0 * sigma > least => (3.0 * sigma, "three times the noise found in the data"),
+        None => (least, "1e-3 of the bounding box's diagonal"),
     }
 }
 
