@@ -3,6 +3,7 @@
 pub mod bench_board;
 pub mod emulator;
 pub mod fault_line;
+pub mod fuzz;
 pub mod kill;
 pub mod outcome;
 pub mod patches;

@@ -69,8 +69,10 @@ pub enum ImportError {
         /// Triangles that the header declares.
         declared: u64,
     },
-    /// No face at all.
-    #[error("{file}: holds no face; check that the right file was given")]
+    /// No face at all, or only such as are an edge or a point.
+    #[error(
+        "{file}: holds no face with three different corners; check that the right file was given"
+    )]
     NoFaces {
         /// File.
         file: String,
@@ -116,13 +118,15 @@ pub fn mesh_from_bytes(name: &str, bytes: &[u8]) -> Result<TriangleMesh, ImportE
     } else {
         return Err(format("is no mesh of a known kind"));
     };
+    let apart = mesh.positions.len() == 3 * mesh.faces.len();
+    let mesh = if apart { joined(&mesh) } else { mesh };
+    // Triangles that were only an edge or a point are gone once vertices are joined.
     if mesh.faces.is_empty() {
         return Err(ImportError::NoFaces {
             file: name.to_owned(),
         });
     }
-    let apart = mesh.positions.len() == 3 * mesh.faces.len();
-    Ok(if apart { joined(&mesh) } else { mesh })
+    Ok(mesh)
 }
 
 /// Joins vertices of equal coordinates and leaves out triangles that have become an edge or a point.
@@ -221,12 +225,18 @@ mod tests {
 
     #[test]
     fn what_is_no_mesh_is_refused() {
-        let cases: [(&str, &[u8], &str); 5] = [
+        let cases: [(&str, &[u8], &str); 6] = [
             ("a.glb", b"glTF\x02", "only written"),
             ("a.ply", b"solid", "does not begin"),
             ("a.xyz", b"1 2 3", "no mesh"),
             ("a.obj", b"# nothing\nv 0 0 0\n", "holds no face"),
             ("a.stl", b"", "holds no face"),
+            // Found by fuzzing: its one face is an edge once vertices are joined.
+            (
+                "a.obj",
+                b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 3 1\n",
+                "holds no face",
+            ),
         ];
         for (name, bytes, part) in cases {
             let error = mesh_from_bytes(name, bytes).unwrap_err().to_string();
