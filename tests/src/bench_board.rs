@@ -2,17 +2,18 @@
 //! at points moving over its hemisphere.
 //!
 //! The board runs in a thread on a clock of its own, which may start anywhere and run fast or slow. It remembers
-//! every frame it sent, so that a test can tell what was lost and whether what arrived was ever sent.
+//! every frame it sent, if asked to, so that a test can tell what was lost and whether what arrived was ever sent.
 
 use palpus_firmware::front_end::{
     GaugeFrontEnd, GaugeSample, JOINTS, JointFrontEnd, JointSample, JointState,
 };
 use palpus_firmware::store::{RamStore, save};
 use palpus_firmware::{Board, BoardConfig};
+use palpus_host::link::host_clock::HostClock;
 use palpus_protocol::{Calibration, GaugeFlags, MAX_GAUGES, TipGeometry, WRENCH_AXES};
 use serialport::{SerialPort, TTYPort};
 use std::io::{Read, Write};
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -50,6 +51,10 @@ pub struct BenchSettings {
     pub start_us: u64,
     /// Sampling period, us.
     pub period_us: u32,
+    /// The time that passes for the board, but for its drift.
+    pub clock: HostClock,
+    /// Whether it keeps every frame it sends.
+    pub remembers: bool,
 }
 
 impl BenchSettings {
@@ -61,6 +66,8 @@ impl BenchSettings {
             drift: 0.0,
             start_us: 1_000_000,
             period_us: 5_000,
+            clock: HostClock::start(),
+            remembers: true,
         }
     }
 }
@@ -188,6 +195,8 @@ struct Shared {
     loaded: Arc<AtomicBool>,
     /// Counts restarts asked for.
     restarts: AtomicU32,
+    /// When it was started first, by [`BenchSettings::clock`].
+    began_us: AtomicI64,
     sent: Mutex<Vec<Vec<u8>>>,
 }
 
@@ -198,6 +207,7 @@ pub struct BenchBoard {
     /// The device the host opens; kept so that the terminal lives when the host closes it.
     device: Option<TTYPort>,
     path: String,
+    settings: BenchSettings,
 }
 
 impl BenchBoard {
@@ -207,8 +217,10 @@ impl BenchBoard {
         let path = device.name().expect("a pseudo-terminal has a name");
         let shared = Arc::new(Shared::default());
         let its = Arc::clone(&shared);
-        let thread = std::thread::spawn(move || run(near, &settings, &its));
+        let own = settings.clone();
+        let thread = std::thread::spawn(move || run(near, &own, &its));
         Self {
+            settings,
             shared,
             thread: Some(thread),
             device: Some(device),
@@ -231,7 +243,13 @@ impl BenchBoard {
         self.shared.restarts.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Every frame sent so far, delimiters included.
+    /// When the clock of a board that was never restarted showed `board_us`, by [`BenchSettings::clock`].
+    pub fn host_us(&self, board_us: u64) -> f64 {
+        let since = board_us as f64 - self.settings.start_us as f64;
+        self.shared.began_us.load(Ordering::Relaxed) as f64 + since / (1.0 + self.settings.drift)
+    }
+
+    /// Every frame sent so far, delimiters included; none if it does not remember them.
     pub fn sent(&self) -> Vec<Vec<u8>> {
         self.shared
             .sent
@@ -254,7 +272,8 @@ impl Drop for BenchBoard {
 fn run(mut port: TTYPort, settings: &BenchSettings, shared: &Shared) {
     let period_us = u64::from(settings.period_us);
     let mut start_us = settings.start_us;
-    let mut began = Instant::now();
+    let mut began_us = settings.clock.now_us();
+    shared.began_us.store(began_us, Ordering::Relaxed);
     let mut restarts = 0;
     let mut board = firmware(settings, start_us, &shared.loaded);
     let mut next_tick_us = start_us + period_us;
@@ -265,34 +284,39 @@ fn run(mut port: TTYPort, settings: &BenchSettings, shared: &Shared) {
         if asked != restarts {
             restarts = asked;
             start_us = 0;
-            began = Instant::now();
+            began_us = settings.clock.now_us();
             board = firmware(settings, start_us, &shared.loaded);
             next_tick_us = period_us;
             waiting.clear();
         }
-        let now_us = |began: Instant| {
-            start_us + (began.elapsed().as_secs_f64() * (1.0 + settings.drift) * 1e6) as u64
+        let now_us = || {
+            let passed_us = (settings.clock.now_us() - began_us) as f64;
+            start_us + (passed_us * (1.0 + settings.drift)) as u64
         };
-        // A board ticks by its own timer; when this thread was late, the ticks are made up with their own times.
-        while next_tick_us <= now_us(began) {
+        // A board ticks by its own timer; when this thread was late, the ticks are made up with their own times. Each
+        // gives the line at most its period to take what it has taken in time before: made up at once, two seconds
+        // of contacts would overrun the board's queue, and be lost to no fault of the line.
+        while next_tick_us <= now_us() {
+            let late = next_tick_us + period_us <= now_us();
             board.tick(next_tick_us);
             next_tick_us += period_us;
+            let end = Instant::now() + Duration::from_micros(period_us);
+            while late && !waiting.is_empty() && Instant::now() < end {
+                drain(&mut port, &mut waiting);
+            }
             if waiting.is_empty() {
-                send(
-                    &mut board,
-                    next_tick_us - period_us,
-                    shared,
-                    &mut waiting,
-                    &mut port,
-                );
+                let kept = settings.remembers.then_some(&shared.sent);
+                let ticked_us = next_tick_us - period_us;
+                send(&mut board, ticked_us, kept, &mut waiting, &mut port);
             }
         }
         if let Ok(count) = port.read(&mut buffer) {
-            board.receive(&buffer[..count], now_us(began));
+            board.receive(&buffer[..count], now_us());
         }
         drain(&mut port, &mut waiting);
         if waiting.is_empty() {
-            send(&mut board, now_us(began), shared, &mut waiting, &mut port);
+            let kept = settings.remembers.then_some(&shared.sent);
+            send(&mut board, now_us(), kept, &mut waiting, &mut port);
         }
     }
 }
@@ -301,7 +325,7 @@ fn run(mut port: TTYPort, settings: &BenchSettings, shared: &Shared) {
 fn send(
     board: &mut FirmwareBoard,
     now_us: u64,
-    shared: &Shared,
+    kept: Option<&Mutex<Vec<Vec<u8>>>>,
     waiting: &mut Vec<u8>,
     port: &mut TTYPort,
 ) {
@@ -310,9 +334,10 @@ fn send(
             return;
         };
         waiting.extend_from_slice(frame);
-        let mut sent = shared.sent.lock().unwrap_or_else(PoisonError::into_inner);
-        sent.push(frame.to_vec());
-        drop(sent);
+        if let Some(kept) = kept {
+            let mut sent = kept.lock().unwrap_or_else(PoisonError::into_inner);
+            sent.push(frame.to_vec());
+        }
         drain(port, waiting);
     }
 }

@@ -2,6 +2,10 @@
 //!
 //! All faults come from a seed. Rates are per byte and can be set for each direction while the line runs; it can
 //! hang up, and come back under another name.
+//!
+//! What an end does not take at once waits, as in the driver of a serial port ([`WAITING_BYTES`]): on a busy machine
+//! a reader may come seconds late, which a pseudo-terminal's own 4 kB do not last for. What finds no room there is
+//! lost, and counted as a fault.
 
 use crate::bench_board::pseudo_terminal;
 use rand::{RngExt, SeedableRng};
@@ -13,6 +17,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+
+/// Bytes that wait in each direction at most: what the system keeps for a serial port.
+pub const WAITING_BYTES: usize = 1 << 16;
 
 /// What goes wrong, and how often: chances per byte.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -263,6 +270,7 @@ fn pump(mut board: TTYPort, shared: &Shared, seed: u64) -> u64 {
     let mut to_host = FaultInjector::new(seed);
     let mut to_board = FaultInjector::new(seed ^ 0x5eed);
     let mut host: Option<HostSide> = None;
+    let (mut for_host, mut for_board) = (Vec::new(), Vec::new());
     let mut buffer = [0; 1_024];
     while !shared.stop.load(Ordering::Relaxed) {
         let (faults, wanted) = {
@@ -272,6 +280,7 @@ fn pump(mut board: TTYPort, shared: &Shared, seed: u64) -> u64 {
         if host.as_ref().map(|side| &side.link) != wanted.as_ref() {
             // Dropped first: the old name goes before the new one comes.
             drop(host.take());
+            for_host.clear();
             host = wanted.as_deref().map(HostSide::plug_in);
         }
         if !faults.to_host.blocked
@@ -279,8 +288,10 @@ fn pump(mut board: TTYPort, shared: &Shared, seed: u64) -> u64 {
         {
             let (bytes, stall) = to_host.apply(&buffer[..count], &faults.to_host);
             std::thread::sleep(stall);
+            // Written before the other side is read: waiting for it would make the two directions differ.
             if let Some(side) = &mut host {
-                write_some(&mut side.near, &bytes);
+                to_host.injected += wait(&mut for_host, &bytes);
+                write_some(&mut side.near, &mut for_host);
             }
         }
         if let Some(side) = &mut host
@@ -289,18 +300,28 @@ fn pump(mut board: TTYPort, shared: &Shared, seed: u64) -> u64 {
         {
             let (bytes, stall) = to_board.apply(&buffer[..count], &faults.to_board);
             std::thread::sleep(stall);
-            write_some(&mut board, &bytes);
+            to_board.injected += wait(&mut for_board, &bytes);
+        }
+        write_some(&mut board, &mut for_board);
+        if let Some(side) = &mut host {
+            write_some(&mut side.near, &mut for_host);
         }
     }
     to_host.injected + to_board.injected
 }
 
-/// Writes as much as the other side takes within 20 ms; the rest is lost, as on a wire.
-fn write_some(port: &mut TTYPort, mut bytes: &[u8]) {
-    let start = Instant::now();
-    while !bytes.is_empty() && start.elapsed() < Duration::from_millis(20) {
-        if let Ok(count) = port.write(bytes) {
-            bytes = &bytes[count..];
-        }
+/// Adds bytes to those that wait; returns how many found no room.
+fn wait(waiting: &mut Vec<u8>, bytes: &[u8]) -> u64 {
+    let room = WAITING_BYTES.saturating_sub(waiting.len()).min(bytes.len());
+    waiting.extend_from_slice(&bytes[..room]);
+    (bytes.len() - room) as u64
+}
+
+/// Writes what the other side takes now.
+fn write_some(port: &mut TTYPort, waiting: &mut Vec<u8>) {
+    if !waiting.is_empty()
+        && let Ok(count) = port.write(waiting)
+    {
+        waiting.drain(..count);
     }
 }

@@ -9,7 +9,6 @@ use palpus_host::run::capture::{
     CaptureError, CaptureEvent, CaptureProgress, CaptureSettings, CaptureSummary, End, capture,
 };
 use palpus_protocol::Streams;
-use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -74,9 +73,6 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
     ctrlc::set_handler(move || told.store(true, Ordering::Relaxed))
         .map_err(|e| Failure::new(Exit::Device, e))?;
     let settings = CaptureSettings {
-        fingers: args.fingers,
-        hand,
-        output: args.output,
         replace: args.force,
         baud: args.baud,
         streams: Streams {
@@ -86,7 +82,7 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
         tare: args.tare,
         duration: args.duration.map(Duration::from_secs_f64),
         points: args.points,
-        notes: BTreeMap::new(),
+        ..CaptureSettings::every_contact(args.fingers, hand, args.output)
     };
     let mut screen = Screen::new(common);
     let result = capture(&settings, &stop, &mut |event| screen.show(&event));

@@ -3,6 +3,9 @@
 //! All times of a run are read from one [`HostClock`], anchored once to the wall clock. Setting the wall clock
 //! during a run (by hand, by NTP, by daylight saving) therefore moves no contact; [`HostClock::wall_jump_us`]
 //! tells that it happened.
+//!
+//! Both what dates the clock and how fast it runs can be given ([`HostClock::of`]): tests set the wall clock of a
+//! running capture without touching that of the machine, and make hours of board time pass in less.
 
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
@@ -11,9 +14,12 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 pub struct HostClock {
     anchor: Instant,
     anchor_us: i64,
+    wall_us: fn() -> i64,
+    speed: f64,
 }
 
-fn wall_us() -> i64 {
+/// The wall clock: microseconds since the Unix epoch.
+pub fn wall_us() -> i64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.map_or(0, |d| i64::try_from(d.as_micros()).unwrap_or(i64::MAX))
 }
@@ -21,9 +27,16 @@ fn wall_us() -> i64 {
 impl HostClock {
     /// A clock that agrees with the wall clock now.
     pub fn start() -> Self {
+        Self::of(wall_us, 1.0)
+    }
+
+    /// A clock dated by `wall_us`, microseconds since the Unix epoch, that runs `speed` times as fast as time.
+    pub fn of(wall_us: fn() -> i64, speed: f64) -> Self {
         Self {
             anchor: Instant::now(),
             anchor_us: wall_us(),
+            wall_us,
+            speed,
         }
     }
 
@@ -35,13 +48,14 @@ impl HostClock {
     /// Microseconds since the Unix epoch at an instant.
     pub fn at_us(&self, instant: Instant) -> i64 {
         let since = instant.saturating_duration_since(self.anchor);
+        // A float holds whole microseconds for 285 years.
         self.anchor_us
-            .saturating_add(i64::try_from(since.as_micros()).unwrap_or(i64::MAX))
+            .saturating_add((since.as_nanos() as f64 * 1e-3 * self.speed) as i64)
     }
 
     /// Microseconds since the clock was started.
     pub fn running_us(&self) -> u64 {
-        u64::try_from(self.anchor.elapsed().as_micros()).unwrap_or(u64::MAX)
+        u64::try_from(self.now_us().saturating_sub(self.anchor_us)).unwrap_or(0)
     }
 
     /// The instant the clock was started, microseconds since the Unix epoch.
@@ -51,7 +65,10 @@ impl HostClock {
 
     /// By how much the wall clock has moved against this one since it was started, microseconds.
     pub fn wall_jump_us(&self) -> i64 {
-        wall_us().saturating_sub(self.now_us())
+        let passed_us = self.anchor.elapsed().as_micros();
+        (self.wall_us)()
+            .saturating_sub(self.anchor_us)
+            .saturating_sub(i64::try_from(passed_us).unwrap_or(i64::MAX))
     }
 }
 

@@ -60,6 +60,8 @@ pub struct CaptureSettings {
     pub points: Option<u64>,
     /// Anything to keep in the run's metadata.
     pub notes: BTreeMap<String, String>,
+    /// The clock of all times of the run.
+    pub clock: HostClock,
 }
 
 impl CaptureSettings {
@@ -83,6 +85,7 @@ impl CaptureSettings {
             duration: None,
             points: None,
             notes: BTreeMap::new(),
+            clock: HostClock::start(),
         }
     }
 }
@@ -226,8 +229,8 @@ pub fn capture(
         }
         .into());
     }
-    let clock = HostClock::start();
-    let sessions = connect(settings, clock)?;
+    let clock = settings.clock;
+    let sessions = connect(settings)?;
     check_names(settings, &sessions)?;
     for ((finger, port), session) in settings.fingers.iter().zip(&sessions) {
         tell(CaptureEvent::Found {
@@ -251,9 +254,8 @@ pub fn capture(
         settings,
         stop,
         tell,
-        clock,
         sessions,
-        Recorder::new(writer, fingers, settings, clock),
+        Recorder::new(writer, fingers, settings),
     )
 }
 
@@ -261,11 +263,10 @@ fn record(
     settings: &CaptureSettings,
     stop: &AtomicBool,
     tell: &mut dyn FnMut(CaptureEvent<'_>),
-    clock: HostClock,
     sessions: Vec<Session>,
     recorder: Recorder<'_>,
 ) -> Result<CaptureSummary, CaptureError> {
-    let count = sessions.len();
+    let (clock, count) = (settings.clock, sessions.len());
     let (queue, queued) = sync_channel::<Queued>(QUEUE_EVENTS * count);
     let (notes, noted) = sync_channel::<(usize, Weight, String)>(1_024);
     let statuses: Vec<Mutex<LinkStatus>> = sessions
@@ -456,7 +457,7 @@ fn check_fingers(settings: &CaptureSettings, hand: &Hand) -> Result<Vec<Finger>,
     Ok(fingers)
 }
 
-fn connect(settings: &CaptureSettings, clock: HostClock) -> Result<Vec<Session>, CaptureError> {
+fn connect(settings: &CaptureSettings) -> Result<Vec<Session>, CaptureError> {
     let mut sessions = Vec::new();
     for (finger, port) in &settings.fingers {
         let session = Session::connect(
@@ -466,7 +467,7 @@ fn connect(settings: &CaptureSettings, clock: HostClock) -> Result<Vec<Session>,
                 baud: settings.baud,
                 streams: settings.streams,
             },
-            clock,
+            settings.clock,
         );
         let tared = session.and_then(|mut session| {
             if let Some(samples) = settings.tare {
@@ -514,7 +515,6 @@ struct Recorder<'a> {
     fingers: Vec<Finger>,
     clouds: Vec<Gathered>,
     settings: &'a CaptureSettings,
-    clock: HostClock,
 }
 
 impl<'a> Recorder<'a> {
@@ -522,10 +522,8 @@ impl<'a> Recorder<'a> {
         writer: RunWriter<LogFile>,
         fingers: Vec<Finger>,
         settings: &'a CaptureSettings,
-        clock: HostClock,
     ) -> Self {
         Self {
-            clock,
             writer,
             clouds: fingers.iter().map(|_| Gathered::default()).collect(),
             fingers,
@@ -581,7 +579,7 @@ impl<'a> Recorder<'a> {
             }
             LinkEvent::RoundTrip(trip) => self.writer.round_trip(finger, trip),
             LinkEvent::Status(status) => {
-                let now_ns = nanoseconds(self.clock.now_us());
+                let now_ns = nanoseconds(self.settings.clock.now_us());
                 self.writer.link_state(finger, now_ns, &link_state(&status))
             }
             LinkEvent::Connected { port, identity } => {
@@ -595,8 +593,12 @@ impl<'a> Recorder<'a> {
                     Weight::Error => Level::Error,
                 };
                 let name = self.name(finger).to_owned();
-                self.writer
-                    .event(nanoseconds(self.clock.now_us()), level, &name, &text)
+                self.writer.event(
+                    nanoseconds(self.settings.clock.now_us()),
+                    level,
+                    &name,
+                    &text,
+                )
             }
         }
     }
