@@ -7,7 +7,7 @@
 //! give the same surface up to the rounding of its own coordinates (tests/tests/invariance.rs has the figures). All
 //! phases are full of decisions (marching cubes, holes, collapses, foot points), of which some rounding tips one now
 //! and then, and a fit that took one decision otherwise is off by 1e-6 to 1e-4 of the size. So positions are put on a
-//! grid of [`POSITION_GRID`], far coarser than the rounding of the input (1e-16 of the size when turned or scaled,
+//! grid of 2^-17 of the size, far coarser than the rounding of the input (1e-16 of the size when turned or scaled,
 //! 1e-10 when the origin is a million sizes away) and far finer than any surface needs. A coordinate that lies within
 //! that rounding of the middle between two grid points still goes either way: of 1229 contacts a million sizes away
 //! one coordinate does in one case of thirty, a thousand sizes away in one of thirty thousand. The result then differs
