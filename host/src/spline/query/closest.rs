@@ -1,16 +1,18 @@
-//! The closest point of a surface, by boxes and Newton's method.
+//! The closest point of a surface: certified, by branch and bound.
 //!
-//! Boxes leave a handful of pieces that could hold it; in each, Newton steps on the squared distance run from the
-//! piece's middle, held to the patch's triangle. The answer carries its residual: how far it is from a true foot
-//! point. Not guaranteed: that no other point of the same piece is closer, where a piece bends by more than its
-//! distance allows a single foot point (points near a centre of curvature).
+//! A first Newton run from the nearest middle of a piece gives a bound that few pieces' boxes come under. Such a piece is
+//! done with as soon as one of these holds: its control points lie beyond a plane at the bound; the squared distance
+//! is convex on it ([`super::cell`]), so that a descent within it finds its closest point or stops at a tangent plane above the
+//! bound. What is left is halved, breadth first, until nothing is. The answer says what that proved:
+//! [`ClosestPoint::gap`].
 
-use super::super::bernstein::CONTROL_POINTS;
 use super::super::surface::Surface;
-use super::patch_jet;
-use super::tree::{Piece, SurfaceTree, box_distance2};
+use super::cell::{Bend, Cell};
+use super::descent::descend;
+use super::tree::{SurfaceTree, box_distance2};
 use crate::Vec3;
 use rayon::prelude::*;
+use std::collections::VecDeque;
 
 /// The closest point of a surface to a query point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,13 +25,101 @@ pub struct ClosestPoint {
     pub point: Vec3,
     /// Distance from the query point.
     pub distance: f64,
-    /// Length of the part of (query point - point) that lies in the tangent plane and does not push against the
-    /// border of the patch, in the unit of the surface: 0 at a true foot point.
+    /// How far the point would slide in its tangent plane to come closest to the query point, held by the patch's edges,
+    /// in the unit of the surface: 0 at a foot point and at a point of a border or crease that nothing beside it undercuts.
     pub residual: f64,
+    /// No point of the surface is closer than `distance - gap`: 1e-12 of the sizes involved at most, except beside a place
+    /// from which a whole stretch of the surface is equally far (the middle of a sphere), where halving is given up.
+    pub gap: f64,
 }
 
-/// Newton steps; quadratic convergence needs three to six, places near a centre of curvature many more.
-const STEPS: usize = 200;
+/// What is certified, relative to the size of the surface and the distance.
+const CERTIFIED: f64 = 1e-12;
+/// Parts halved per query before it is given up: some milliseconds.
+const HALVINGS: usize = 2000;
+/// Halvings of a part in which its own foot point is sought whatever its distance.
+const SOUGHT: u32 = 2;
+
+/// One query under way.
+struct Search<'a> {
+    surface: &'a Surface,
+    target: Vec3,
+    tolerance: f64,
+    best: Best,
+    /// Squared distance below which a part is of interest: the best distance less the tolerance.
+    enough2: f64,
+    /// Least squared distance that what was put aside may have.
+    floor2: f64,
+}
+
+struct Best {
+    face: u32,
+    barycentric: [f64; 3],
+    point: Vec3,
+    distance2: f64,
+    residual: f64,
+}
+
+impl Search<'_> {
+    /// Descends on the whole patch from a place on it.
+    fn seek(&mut self, face: u32, start: [f64; 3]) {
+        let points = &self.surface.control_points[face as usize];
+        let foot = descend(points, start, &self.target, 0.0);
+        self.take(Best {
+            face,
+            barycentric: foot.at,
+            point: foot.point,
+            distance2: foot.distance2,
+            residual: foot.residual,
+        });
+    }
+
+    fn take(&mut self, found: Best) {
+        // Equal distances: the lower patch, whatever the order of the search.
+        let order = found.distance2.total_cmp(&self.best.distance2);
+        if order.then(found.face.cmp(&self.best.face)).is_lt() {
+            self.best = found;
+            let certain = (self.best.distance2.sqrt() - self.tolerance).max(0.0);
+            self.enough2 = certain * certain;
+        }
+    }
+
+    /// Whether nothing of interest below this squared distance is left; what is put aside by it is kept in mind.
+    fn done(&mut self, least2: f64) -> bool {
+        let done = least2 >= self.enough2;
+        if done {
+            self.floor2 = self.floor2.min(least2);
+        }
+        done
+    }
+
+    /// Whether a part is done with, its closest point found if it matters. If not: what it does not undercut. `bend` is
+    /// worked out where it is not known.
+    fn settle(&mut self, cell: &Cell, bend: Option<&Bend>, least2: f64) -> Option<f64> {
+        let least2 = least2.max(cell.beyond(&self.target));
+        if self.done(least2) {
+            return None;
+        }
+        let convex = match bend {
+            Some(bend) => bend.convex(cell, &self.target),
+            None => Bend::new(cell).convex(cell, &self.target),
+        };
+        if !convex {
+            return Some(least2);
+        }
+        let start = if cell.face == self.best.face {
+            cell.local(self.best.barycentric)
+        } else {
+            [1.0 / 3.0; 3]
+        };
+        let foot = descend(&cell.points, start, &self.target, self.enough2);
+        if foot.distance2 < self.best.distance2 {
+            // In the patch's own coordinates, to the last digit.
+            self.seek(cell.face, cell.of_patch(foot.at));
+        }
+        (!self.done(foot.least2.max(least2))).then_some(least2)
+    }
+}
 
 impl SurfaceTree {
     /// The closest point of `surface` (the one the tree was built on); `None` without patches or for a point that
@@ -40,33 +130,77 @@ impl SurfaceTree {
         }
         // First the nearest middle of a piece: from there one run of Newton's method gives a bound that leaves few others.
         let mut nearest = (f64::INFINITY, 0);
-        self.visit(point, f64::INFINITY, |number, piece| {
-            let distance = (piece.place - point).norm_squared();
-            if distance < nearest.0 {
-                nearest = (distance, number);
+        self.visit(point, f64::INFINITY, |number| {
+            let distance2 = (self.pieces[number].cell.place - point).norm_squared();
+            if distance2 < nearest.0 {
+                nearest = (distance2, number);
             }
             nearest.0
         });
-        let from = |piece: &Piece| {
-            let points = &surface.control_points[piece.face as usize];
-            foot(points, piece.face, piece.middle, point)
+        let first = &self.pieces[nearest.1];
+        let (low, high) = self.bounding_box()?;
+        let mut search = Search {
+            surface,
+            target: *point,
+            tolerance: CERTIFIED
+                * ((high - low).norm() + low.abs().max() + high.abs().max() + nearest.0.sqrt()),
+            best: Best {
+                face: u32::MAX,
+                barycentric: [1.0 / 3.0; 3],
+                point: first.cell.place,
+                distance2: f64::INFINITY,
+                residual: f64::INFINITY,
+            },
+            enough2: f64::INFINITY,
+            floor2: f64::INFINITY,
         };
-        let mut best = from(&self.pieces[nearest.1]);
-        self.visit(point, best.distance * best.distance, |number, piece| {
-            if number != nearest.1 {
-                let found = from(piece);
-                let as_near = found.distance == best.distance && found.face < best.face;
-                if found.distance < best.distance || as_near {
-                    best = found;
-                }
+        search.seek(first.cell.face, first.middle);
+        let mut open: VecDeque<(f64, u32, Cell)> = VecDeque::new();
+        self.visit(point, search.enough2, |number| {
+            let piece = &self.pieces[number];
+            let least2 = box_distance2(&piece.low, &piece.high, point);
+            if let Some(least2) = search.settle(&piece.cell, Some(&piece.bend), least2) {
+                search.seek(piece.cell.face, piece.middle);
+                open.push_back((least2, 0, piece.cell.clone()));
             }
-            best.distance * best.distance
+            search.enough2
         });
-        Some(best)
+        let mut halvings = 0;
+        while let Some((least2, depth, cell)) = open.pop_front() {
+            if search.done(least2) {
+                continue;
+            }
+            if halvings == HALVINGS {
+                search.floor2 = search.floor2.min(least2);
+                continue;
+            }
+            halvings += 1;
+            for half in cell.halves() {
+                let Some(least2) = search.settle(&half, None, least2) else {
+                    continue;
+                };
+                let near = (half.place - point).norm_squared() < search.best.distance2;
+                if near || depth < SOUGHT {
+                    search.seek(half.face, half.of_patch([1.0 / 3.0; 3]));
+                }
+                open.push_back((least2, depth + 1, half));
+            }
+        }
+        let best = search.best;
+        let distance = best.distance2.sqrt();
+        let gap = (distance - search.floor2.sqrt()).max(search.tolerance);
+        Some(ClosestPoint {
+            face: best.face,
+            barycentric: best.barycentric,
+            point: best.point,
+            distance,
+            residual: best.residual,
+            gap: gap.min(distance),
+        })
     }
 
     /// Hands over every piece whose box is within a squared distance of a point; `see` returns the new bound.
-    fn visit(&self, point: &Vec3, bound: f64, mut see: impl FnMut(usize, &Piece) -> f64) {
+    fn visit(&self, point: &Vec3, bound: f64, mut see: impl FnMut(usize) -> f64) {
         let mut bound = bound;
         let reach = |node: u32| {
             let node = &self.nodes[node as usize];
@@ -90,7 +224,7 @@ impl SurfaceTree {
             for number in first..first + node.count as usize {
                 let piece = &self.pieces[number];
                 if box_distance2(&piece.low, &piece.high, point) <= bound {
-                    bound = see(number, piece);
+                    bound = see(number);
                 }
             }
         }
@@ -102,166 +236,6 @@ impl SurfaceTree {
             .par_iter()
             .map(|point| self.closest(surface, point))
             .collect()
-    }
-}
-
-/// Newton's method on half the squared distance over one patch, from a start, held to the triangle.
-fn foot(
-    points: &[Vec3; CONTROL_POINTS],
-    face: u32,
-    start: [f64; 3],
-    target: &Vec3,
-) -> ClosestPoint {
-    let mut at = start;
-    let mut jet = patch_jet(points, at);
-    let mut value = (jet.point - target).norm_squared();
-    let mut residual = f64::INFINITY;
-    for _ in 0..STEPS {
-        let away = jet.point - target;
-        let gradient = jet.first.map(|d| d.dot(&away));
-        let (a, b, c) = (
-            jet.first[0].norm_squared(),
-            jet.first[0].dot(&jet.first[1]),
-            jet.first[1].norm_squared(),
-        );
-        let held = held(at, gradient);
-        residual = match held {
-            Held::Free => {
-                let det = (a * c - b * b).max(1e-300);
-                let [r, s] = gradient;
-                ((c * r * r - 2.0 * b * r * s + a * s * s) / det)
-                    .max(0.0)
-                    .sqrt()
-            }
-            Held::Along([du, dv]) => {
-                let slope = gradient[0] * du + gradient[1] * dv;
-                let length = (a * du * du + 2.0 * b * du * dv + c * dv * dv).sqrt();
-                slope.abs() / length.max(1e-300)
-            }
-            Held::Fixed => 0.0,
-        };
-        // Rounding in the point itself leaves about this much.
-        if residual <= 1e-15 * (1.0 + value.sqrt() + jet.point.norm()) {
-            break;
-        }
-        let h = [
-            a + away.dot(&jet.second[0]),
-            b + away.dot(&jet.second[1]),
-            c + away.dot(&jet.second[2]),
-        ];
-        let [su, sv] = match held {
-            Held::Free => {
-                // Where the distance is not convex, Gauss and Newton's form is.
-                let det = h[0] * h[2] - h[1] * h[1];
-                let [p, q, s, det] = if h[0] > 0.0 && det > 1e-6 * (a * c - b * b) {
-                    [h[0], h[1], h[2], det]
-                } else {
-                    [a, b, c, (a * c - b * b).max(1e-300)]
-                };
-                [
-                    -(s * gradient[0] - q * gradient[1]) / det,
-                    -(p * gradient[1] - q * gradient[0]) / det,
-                ]
-            }
-            Held::Along([du, dv]) => {
-                let slope = gradient[0] * du + gradient[1] * dv;
-                let bend = h[0] * du * du + 2.0 * h[1] * du * dv + h[2] * dv * dv;
-                let flat = a * du * du + 2.0 * b * du * dv + c * dv * dv;
-                let step = -slope
-                    / if bend > 1e-6 * flat {
-                        bend
-                    } else {
-                        flat.max(1e-300)
-                    };
-                [du * step, dv * step]
-            }
-            Held::Fixed => break,
-        };
-        let step = [-su - sv, su, sv];
-        // Up to the triangle's border, and shorter while it does not come closer.
-        let mut reach = 1.0_f64;
-        for m in 0..3 {
-            if step[m] < 0.0 {
-                reach = reach.min(at[m] / -step[m]);
-            }
-        }
-        let mut share = reach.min(1.0);
-        let mut moved = false;
-        for _ in 0..12 {
-            let mut next: [f64; 3] = std::array::from_fn(|m| (at[m] + step[m] * share).max(0.0));
-            for m in 0..3 {
-                // What was cut off at the border lies on it.
-                if step[m] < 0.0 && share == reach && at[m] <= -step[m] * reach * (1.0 + 1e-12) {
-                    next[m] = 0.0;
-                }
-            }
-            let sum: f64 = next.iter().sum();
-            let next = next.map(|x| x / sum);
-            let trial = patch_jet(points, next);
-            let distance = (trial.point - target).norm_squared();
-            if distance <= value {
-                moved = next != at;
-                (at, jet, value) = (next, trial, distance);
-                break;
-            }
-            share *= 0.5;
-        }
-        if !moved {
-            break;
-        }
-    }
-    ClosestPoint {
-        face,
-        barycentric: at,
-        point: jet.point,
-        distance: value.sqrt(),
-        residual,
-    }
-}
-
-/// How the triangle's border holds a point against the descent.
-enum Held {
-    Free,
-    /// Only along this direction (in u, v).
-    Along([f64; 2]),
-    Fixed,
-}
-
-fn held(at: [f64; 3], gradient: [f64; 2]) -> Held {
-    // The descent in barycentric coordinates: the derivative by coordinate 0 is taken as zero.
-    let slope = [0.0, gradient[0], gradient[1]];
-    let edges: Vec<usize> = (0..3).filter(|m| at[*m] <= 0.0).collect();
-    match edges[..] {
-        [] => Held::Free,
-        [m] => {
-            // Away from the edge, along the mean of the other two.
-            let inwards = slope[m] - 0.5 * (slope[(m + 1) % 3] + slope[(m + 2) % 3]);
-            if inwards < 0.0 {
-                return Held::Free;
-            }
-            let mut along = [0.0; 3];
-            along[(m + 1) % 3] = -1.0;
-            along[(m + 2) % 3] = 1.0;
-            Held::Along([along[1], along[2]])
-        }
-        _ => {
-            let corner = (0..3).max_by(|a, b| at[*a].total_cmp(&at[*b])).unwrap_or(0);
-            let ways = [(corner + 1) % 3, (corner + 2) % 3];
-            let open: Vec<usize> = ways
-                .into_iter()
-                .filter(|m| slope[*m] < slope[corner])
-                .collect();
-            match open[..] {
-                [] => Held::Fixed,
-                [m] => {
-                    let mut along = [0.0; 3];
-                    along[corner] = -1.0;
-                    along[m] = 1.0;
-                    Held::Along([along[1], along[2]])
-                }
-                _ => Held::Free,
-            }
-        }
     }
 }
 
@@ -298,7 +272,8 @@ mod tests {
                     (surface.point(found.face as usize, found.barycentric) - found.point).norm()
                         < 1e-13 * size
                 );
-                assert!(found.residual < 1e-7 * size, "{found:?}");
+                assert!(found.residual < 1e-8 * size, "{found:?}");
+                assert!(found.gap < 1e-11 * size, "{found:?}");
                 let nearest = sampled
                     .positions
                     .iter()
@@ -310,6 +285,48 @@ mod tests {
                 );
             }
             assert!(tree.closest(&surface, &Vec3::repeat(f64::NAN)).is_none());
+        }
+    }
+
+    #[test]
+    fn where_much_of_the_surface_is_as_far_the_answer_says_what_is_certain() {
+        // The axis and the core of a torus, the middle of a nearly round body, beside it.
+        for (surface, queries) in [
+            (
+                shapes::torus(),
+                [Vec3::zeros(), Vec3::new(0.0, 1.0, 0.0), Vec3::z() * 0.5],
+            ),
+            (
+                shapes::lumpy_sphere(),
+                [Vec3::zeros(), Vec3::x() * 0.02, Vec3::y() * 0.1],
+            ),
+        ] {
+            let tree = SurfaceTree::new(&surface);
+            let sampled = surface.sample_per_patch(24).unwrap();
+            for query in queries {
+                let found = tree.closest(&surface, &query).unwrap();
+                let nearest = sampled
+                    .positions
+                    .iter()
+                    .map(|p| (p - query).norm())
+                    .fold(f64::INFINITY, f64::min);
+                assert!(found.distance <= nearest + 1e-12, "{found:?} {nearest}");
+                assert!(found.gap < 1e-3 && found.gap > 0.0, "{found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn points_on_the_surface_are_their_own_closest_points() {
+        let surface = shapes::torus();
+        let tree = SurfaceTree::new(&surface);
+        for face in 0..surface.faces.len() {
+            let point = surface.point(face, [0.25, 0.35, 0.4]);
+            let found = tree.closest(&surface, &point).unwrap();
+            assert!(
+                found.distance < 1e-14 && found.gap <= found.distance,
+                "{found:?}"
+            );
         }
     }
 }

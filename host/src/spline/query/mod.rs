@@ -3,7 +3,9 @@
 //! | file | answers |
 //! |---|---|
 //! | `tree` | where pieces of patches lie: boxes around their control points, which hold them (convex hull property) |
-//! | `closest` | the closest point, with its residual |
+//! | `cell` | a part of a patch: on which side of a plane it lies, where the distance from a point is convex on it, its halves |
+//! | `descent` | Newton's method on the distance within a patch's triangle |
+//! | `closest` | the closest point, certified |
 //! | `ray` | where a ray meets the surface first |
 //! | `mass` | volume, exact; area to a stated accuracy |
 //! | `chord` | how finely to sample for a given chord error |
@@ -12,8 +14,10 @@
 //! [`crate::spline::chart::Chart`]; a chart's other questions go to the network of its Bézier pieces
 //! ([`crate::spline::chart::Chart::pieces`]), which is the same surface.
 
+mod cell;
 mod chord;
 mod closest;
+mod descent;
 mod mass;
 mod ray;
 mod tree;

@@ -60,8 +60,9 @@ impl SurfaceTree {
                 if !crosses(&piece.low, &piece.high, origin, direction, from, limit) {
                     continue;
                 }
-                let points = &surface.control_points[piece.face as usize];
-                let Some(hit) = meet(points, piece.face, piece.middle, origin, direction) else {
+                let face = piece.cell.face;
+                let points = &surface.control_points[face as usize];
+                let Some(hit) = meet(points, face, piece.middle, origin, direction) else {
                     continue;
                 };
                 if hit.distance > from && hit.distance < limit {

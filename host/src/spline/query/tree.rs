@@ -5,13 +5,12 @@
 //! (tighter, several times the cost per test). Boxes were taken: halving a piece tightens its box
 //! fourfold across, so cutting once or twice makes up for the slant.
 
-use super::super::bernstein::{CONTROL_POINTS, DEGREE, EXPONENTS};
-use super::super::surface::{Surface, casteljau};
+use super::super::surface::Surface;
+use super::cell::{Bend, Cell};
 use crate::Vec3;
 
-/// Cuts of a patch's edge; pieces are its square. 2 to 4 cost the same per query on the torus (100 patches); 1 is a third
-/// slower.
-const CUTS: usize = 3;
+/// Cuts of a patch's edge; pieces are its square.
+const CUTS: usize = 4;
 /// Pieces of a patch.
 pub const PIECES: usize = CUTS * CUTS;
 /// Pieces in a leaf.
@@ -36,13 +35,12 @@ pub(super) struct Node {
 }
 
 /// A part of a patch.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Piece {
-    pub face: u32,
+    pub cell: Cell,
+    pub bend: Bend,
     /// Barycentric coordinates of its middle.
     pub middle: [f64; 3],
-    /// The surface point there.
-    pub place: Vec3,
     pub low: Vec3,
     pub high: Vec3,
 }
@@ -53,14 +51,13 @@ impl SurfaceTree {
         let mut pieces = Vec::with_capacity(PIECES * surface.control_points.len());
         for (face, points) in surface.control_points.iter().enumerate() {
             for corners in cuts() {
-                let (low, high) = hull_box(points, &corners);
-                let middle =
-                    [0, 1, 2].map(|m| (corners[0][m] + corners[1][m] + corners[2][m]) / 3.0);
+                let cell = Cell::new(points, face as u32, corners);
+                let (low, high) = cell.hull_box();
                 if low.iter().chain(high.iter()).all(|x| x.is_finite()) {
                     pieces.push(Piece {
-                        face: face as u32,
-                        middle,
-                        place: casteljau(points, middle),
+                        middle: cell.of_patch([1.0 / 3.0; 3]),
+                        bend: Bend::new(&cell),
+                        cell,
                         low,
                         high,
                     });
@@ -104,7 +101,7 @@ impl SurfaceTree {
         pieces.select_nth_unstable_by(middle, |a, b| {
             key(a)
                 .total_cmp(&key(b))
-                .then(a.face.cmp(&b.face))
+                .then(a.cell.face.cmp(&b.cell.face))
                 .then(a.middle[0].total_cmp(&b.middle[0]))
                 .then(a.middle[1].total_cmp(&b.middle[1]))
         });
@@ -126,30 +123,6 @@ fn cuts() -> impl Iterator<Item = [[f64; 3]; 3]> {
             std::iter::once(upright).chain(turned)
         })
     })
-}
-
-/// Box of the control points of a patch's part: its blossom at the part's corners.
-fn hull_box(points: &[Vec3; CONTROL_POINTS], corners: &[[f64; 3]; 3]) -> (Vec3, Vec3) {
-    let mut low = Vec3::repeat(f64::MAX);
-    let mut high = Vec3::repeat(f64::MIN);
-    for exponents in EXPONENTS {
-        let mut work = *points;
-        let arguments = (0..3).flat_map(|c| std::iter::repeat_n(corners[c], exponents[c].into()));
-        for (degree, b) in (0..DEGREE).rev().zip(arguments) {
-            let mut row = 0;
-            for rest in 0..=degree {
-                for k in 0..=rest {
-                    let first = rest * (rest + 1) / 2 + k;
-                    let next = (rest + 1) * (rest + 2) / 2 + k;
-                    work[row] = work[first] * b[0] + work[next] * b[1] + work[next + 1] * b[2];
-                    row += 1;
-                }
-            }
-        }
-        low = low.inf(&work[0]);
-        high = high.sup(&work[0]);
-    }
-    (low, high)
 }
 
 /// Squared distance of a point from a box.
