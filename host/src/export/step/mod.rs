@@ -14,7 +14,9 @@
 //!
 //! # What is promised
 //! - Faces lie on the patches and edges on the patches' borders up to rounding (1e-14 of the size).
-//! - Every edge is one quintic B-spline curve, shared by both faces, with its parameter curves in both: no
+//! - Every surface and curve has the lowest degree that carries it (5, or a chart's), to 1e-13 of the size; equal points and
+//!   parameter curves stand once.
+//! - Every edge is one B-spline curve, shared by both faces, with its parameter curves in both: no
 //!   sewing is needed. A closed component becomes a solid, one with a border an open shell.
 //! - Creases need nothing: they are edges across which neighbouring faces happen to meet at an angle.
 //! - Numbers have all digits it takes to read the same `f64`. No time stamp: same surface, same bytes.

@@ -1,15 +1,18 @@
 //! The clear text encoding of ISO 10303-21: numbered entities, reals, strings, and the entities every
 //! surface needs.
 
-use super::tensor::TensorPatch;
+use super::tensor::{self, TensorPatch};
 use crate::Vec3;
 use crate::spline::Surface;
 use crate::spline::bernstein::DEGREE;
+use std::collections::HashMap;
 
 /// A file as it is written.
 pub(super) struct Part21 {
     text: String,
     last: u32,
+    /// Entities that may be referred to from several places, by their text.
+    shared: HashMap<String, u32>,
     /// Context of parameter curves.
     plane: u32,
 }
@@ -51,8 +54,10 @@ fn string(text: &str) -> String {
     out
 }
 
-/// Clamped knots of one Bézier segment.
-const KNOTS: &str = "(6,6),(0.,1.),.UNSPECIFIED.";
+/// Multiplicities of the clamped knots of one Bézier segment.
+fn clamped(degree: usize) -> String {
+    format!("({0},{0})", degree + 1)
+}
 
 impl Part21 {
     /// An empty file with the context of parameter curves.
@@ -60,6 +65,7 @@ impl Part21 {
         let mut out = Self {
             text: String::new(),
             last: 0,
+            shared: HashMap::new(),
             plane: 0,
         };
         out.plane = out.add(
@@ -75,8 +81,18 @@ impl Part21 {
         self.last
     }
 
+    /// The number of an entity that stands once however often it is asked for.
+    fn share(&mut self, entity: String) -> u32 {
+        if let Some(known) = self.shared.get(&entity) {
+            return *known;
+        }
+        let id = self.add(&entity);
+        self.shared.insert(entity, id);
+        id
+    }
+
     fn point(&mut self, p: &Vec3) -> u32 {
-        self.add(&format!(
+        self.share(format!(
             "CARTESIAN_POINT('',({},{},{}))",
             real(p.x),
             real(p.y),
@@ -85,7 +101,7 @@ impl Part21 {
     }
 
     fn plane_point(&mut self, p: [f64; 2]) -> u32 {
-        self.add(&format!(
+        self.share(format!(
             "CARTESIAN_POINT('',({},{}))",
             real(p[0]),
             real(p[1])
@@ -100,8 +116,9 @@ impl Part21 {
 
     /// A tensor-product patch.
     pub fn surface(&mut self, patch: &TensorPatch) -> u32 {
-        let rows: Vec<String> = patch
-            .control_points
+        let points = patch.lowered();
+        let (u, v) = (points.len() - 1, points[0].len() - 1);
+        let rows: Vec<String> = points
             .iter()
             .map(|row| {
                 let ids: Vec<u32> = row.iter().map(|p| self.point(p)).collect();
@@ -109,17 +126,22 @@ impl Part21 {
             })
             .collect();
         self.add(&format!(
-            "B_SPLINE_SURFACE_WITH_KNOTS('',{DEGREE},{DEGREE},({}),.UNSPECIFIED.,.F.,.F.,.F.,(6,6),(6,6),(0.,1.),(0.,1.),.UNSPECIFIED.)",
-            rows.join(",")
+            "B_SPLINE_SURFACE_WITH_KNOTS('',{u},{v},({}),.UNSPECIFIED.,.F.,.F.,.F.,{},{},(0.,1.),(0.,1.),.UNSPECIFIED.)",
+            rows.join(","),
+            clamped(u),
+            clamped(v)
         ))
     }
 
-    /// A quintic curve.
+    /// A Bézier curve.
     pub fn curve(&mut self, points: &[Vec3; DEGREE + 1]) -> u32 {
+        let points = tensor::lowered(points);
         let ids: Vec<u32> = points.iter().map(|p| self.point(p)).collect();
+        let degree = points.len() - 1;
         self.add(&format!(
-            "B_SPLINE_CURVE_WITH_KNOTS('',{DEGREE},{},.UNSPECIFIED.,.F.,.F.,{KNOTS})",
-            list(&ids)
+            "B_SPLINE_CURVE_WITH_KNOTS('',{degree},{},.UNSPECIFIED.,.F.,.F.,{},(0.,1.),.UNSPECIFIED.)",
+            list(&ids),
+            clamped(degree)
         ))
     }
 
@@ -127,12 +149,12 @@ impl Part21 {
     /// where the curve has 1; a B-spline of degree 1 has the same range as the curve.
     pub fn image(&mut self, surface: u32, from: [f64; 2], to: [f64; 2]) -> u32 {
         let ends = [self.plane_point(from), self.plane_point(to)];
-        let line = self.add(&format!(
+        let line = self.share(format!(
             "B_SPLINE_CURVE_WITH_KNOTS('',1,{},.UNSPECIFIED.,.F.,.F.,(2,2),(0.,1.),.UNSPECIFIED.)",
             list(&ends)
         ));
         let plane = self.plane;
-        let definition = self.add(&format!(
+        let definition = self.share(format!(
             "DEFINITIONAL_REPRESENTATION('',(#{line}),#{plane})"
         ));
         self.add(&format!("PCURVE('',#{surface},#{definition})"))

@@ -88,11 +88,67 @@ impl TensorPatch {
         Self { control_points }
     }
 
+    /// The control points, first index along u, at the lowest degrees that carry the patch.
+    pub fn lowered(&self) -> Vec<Vec<Vec3>> {
+        let rows: Vec<Vec<Vec3>> = self.control_points.iter().map(|r| r.to_vec()).collect();
+        transposed(&lower_together(transposed(&lower_together(rows))))
+    }
+
     /// Point at (u, v).
     pub fn point(&self, u: f64, v: f64) -> Vec3 {
         let rows = self.control_points.map(|row| bezier(&row, v));
         bezier(&rows, u)
     }
+}
+
+/// Deviation, relative to the largest coordinate, up to which a curve counts as one of lower degree: what rounding leaves
+/// of a polynomial raised to degree 5 and extended beyond its triangle.
+const ROUNDING: f64 = 1e-13;
+
+/// The Bézier curve at the lowest degree that carries it, its end points as they are.
+pub fn lowered(points: &[Vec3]) -> Vec<Vec3> {
+    lower_together(vec![points.to_vec()]).swap_remove(0)
+}
+
+/// Lowers the degree of Bézier curves as far as all of them allow.
+fn lower_together(mut curves: Vec<Vec<Vec3>>) -> Vec<Vec<Vec3>> {
+    let largest = curves.iter().flatten().map(Vec3::amax).fold(0.0, f64::max);
+    while let Some(lower) = curves
+        .iter()
+        .map(|curve| lower_once(curve, ROUNDING * largest))
+        .collect()
+    {
+        curves = lower;
+    }
+    curves
+}
+
+/// The control points of degree n - 1 of a curve of degree n, from both ends; `None` where it has none, or n is 1.
+fn lower_once(points: &[Vec3], tolerance: f64) -> Option<Vec<Vec3>> {
+    let n = points.len().checked_sub(1).filter(|n| *n > 1)?;
+    // Raising the degree makes b_i = i/n a_(i-1) + (1 - i/n) a_i.
+    let share = |i: usize| i as f64 / n as f64;
+    let mut lower = vec![Vec3::zeros(); n];
+    (lower[0], lower[n - 1]) = (points[0], points[n]);
+    for i in 1..n.div_ceil(2) {
+        lower[i] = (points[i] - lower[i - 1] * share(i)) / (1.0 - share(i));
+    }
+    for i in (n.div_ceil(2) + 1..n).rev() {
+        lower[i - 1] = (points[i] - lower[i] * (1.0 - share(i))) / share(i);
+    }
+    (1..n)
+        .all(|i| {
+            let raised = lower[i - 1] * share(i) + lower[i] * (1.0 - share(i));
+            (raised - points[i]).amax() <= tolerance
+        })
+        .then_some(lower)
+}
+
+fn transposed(rows: &[Vec<Vec3>]) -> Vec<Vec<Vec3>> {
+    let columns = rows.first().map_or(0, Vec::len);
+    (0..columns)
+        .map(|k| rows.iter().map(|row| row[k]).collect())
+        .collect()
 }
 
 fn parallelogram(base: usize) -> [Barycentric; 4] {
@@ -260,6 +316,49 @@ mod tests {
                 prop_assert!((bezier(&curve, t) - casteljau(&points, at)).norm() < 1e-13);
             }
         }
+    }
+
+    #[test]
+    fn polynomials_of_lower_degree_are_found_and_no_others() {
+        let raised = |mut curve: Vec<Vec3>| {
+            while curve.len() <= DEGREE {
+                let n = curve.len();
+                let at = |k: usize| curve[k.min(n - 1)];
+                curve = (0..=n)
+                    .map(|i| {
+                        let share = i as f64 / n as f64;
+                        at(i.saturating_sub(1)) * share + at(i) * (1.0 - share)
+                    })
+                    .collect();
+            }
+            curve
+        };
+        let all: Vec<Vec3> = (0..=DEGREE)
+            .map(|k| Vec3::new((3.7 * k as f64).sin(), (2.3 * k as f64).cos(), k as f64))
+            .collect();
+        for degree in 1..=DEGREE {
+            let curve = all[..=degree].to_vec();
+            let back = lowered(&raised(curve.clone()));
+            assert_eq!(back.len(), degree + 1);
+            for (p, q) in back.iter().zip(&curve) {
+                assert!((p - q).norm() < 1e-13, "{degree}: {p} {q}");
+            }
+        }
+        // A quadratic along one direction, a quintic along the other.
+        let rows: [[Vec3; DEGREE + 1]; DEGREE + 1] = std::array::from_fn(|i| {
+            let first = Vec3::x() * i as f64;
+            let curve = raised(vec![
+                first,
+                first + Vec3::y() + Vec3::z(),
+                first + Vec3::y() * 3.0,
+            ]);
+            std::array::from_fn(|j| curve[j] + Vec3::z() * (i * i * i * i) as f64)
+        });
+        let low = TensorPatch {
+            control_points: rows,
+        }
+        .lowered();
+        assert_eq!((low.len(), low[0].len()), (DEGREE, 3));
     }
 
     #[test]
