@@ -40,6 +40,10 @@ pub struct Args {
     /// How the measured normal enters the fit.
     #[arg(long, value_enum, default_value_t = Term::ParameterFree)]
     normal_term: Term,
+    /// Bring curvature across the patches' edges together (a network has it continuous only nearly). Optional weight:
+    /// more is fairer and farther from the points.
+    #[arg(long, value_name = "W", default_value_t = 0.0, num_args = 0..=1, default_missing_value = "1")]
+    fair_curvature: f64,
     /// Most patches.
     #[arg(long, value_name = "N", default_value_t = 20_000)]
     max_patches: usize,
@@ -155,6 +159,7 @@ pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
             Term::ParameterFree => NormalTerm::ParameterFree,
             Term::FaceFrame => NormalTerm::FaceFrame,
         },
+        fair_curvature: args.fair_curvature,
         max_patches: args.max_patches,
         rounds: args.rounds,
         threads: args.threads,
@@ -386,6 +391,9 @@ fn provenance(args: &Args) -> anyhow::Result<Provenance> {
     };
     put("tolerance", args.tolerance.into());
     put("lambda", args.lambda.into());
+    if args.fair_curvature > 0.0 {
+        put("fair-curvature", args.fair_curvature.into());
+    }
     put("max-patches", args.max_patches.into());
     put("rounds", args.rounds.into());
     if args.surface == Kind::Chart {

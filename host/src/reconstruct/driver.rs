@@ -48,6 +48,8 @@ pub struct Options {
     pub lambda: Option<f64>,
     /// How the measured normal enters.
     pub normal_term: NormalTerm,
+    /// Weight of the jump of curvature across smooth edges of a network ([`super::fit::FitOptions`]); 0: none.
+    pub fair_curvature: f64,
     /// Most patches.
     pub max_patches: usize,
     /// Rounds of fit and reparameterisation.
@@ -72,6 +74,7 @@ impl Default for Options {
             tolerance: None,
             lambda: None,
             normal_term: NormalTerm::default(),
+            fair_curvature: 0.0,
             max_patches: 20_000,
             rounds: 4,
             stop_after: Stage::Refine,
@@ -262,6 +265,7 @@ fn run(
         fit: FitOptions {
             rounds: options.rounds,
             normal_term: options.normal_term,
+            fair_curvature: options.fair_curvature,
             smoothing: smoothing(noise.position_sigma),
             outlier_scale: 6.0 * noise.position_sigma.max(1e-4),
         },
@@ -407,14 +411,17 @@ fn check(options: &Options) -> Result<(), ReconstructError> {
         _ => Ok(()),
     };
     positive("tolerance", options.tolerance)?;
-    if let Some(value) = options.lambda
-        && !(value >= 0.0 && value.is_finite())
-    {
-        return Err(ReconstructError::BadOption {
-            name: "lambda",
-            value,
-            range: "0 or above",
-        });
+    for (name, value) in [
+        ("lambda", options.lambda),
+        ("fair-curvature", Some(options.fair_curvature)),
+    ] {
+        if let Some(value) = value.filter(|value| !(*value >= 0.0 && value.is_finite())) {
+            return Err(ReconstructError::BadOption {
+                name,
+                value,
+                range: "0 or above",
+            });
+        }
     }
     if let Some(degree) = options.chart.filter(|n| !(2..=5).contains(n)) {
         return Err(ReconstructError::BadOption {

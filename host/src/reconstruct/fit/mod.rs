@@ -11,6 +11,7 @@
 //! makes things worse is thrown away.
 
 mod cholesky;
+pub mod fairness;
 pub mod foot;
 pub mod system;
 
@@ -99,6 +100,9 @@ pub struct FitOptions {
     pub smoothing: f64,
     /// Scale beyond which a measured datum counts less (same unit as positions); infinite: never.
     pub outlier_scale: f64,
+    /// Weight of the jump of curvature across smooth edges: at 1 the mean squared jump over an edge, as the length by
+    /// which the patches' second derivatives part, counts as much as an edge's share of the data. 0: none.
+    pub fair_curvature: f64,
 }
 
 /// A fitted network.
@@ -154,8 +158,14 @@ pub fn fit(
     let mut best = f64::INFINITY;
     for round in 0..options.rounds {
         let next = fitting.round(flat && round == 0)?;
-        if next.error <= best * 1.05 {
-            best = best.min(next.error);
+        // The first round knows no curvature yet; that the next pays for it with distance is no reason to refuse it.
+        let dearer = options.fair_curvature > 0.0 && round == 1;
+        if dearer || next.error <= best * 1.05 {
+            best = if dearer {
+                next.error
+            } else {
+                best.min(next.error)
+            };
             history.push(measured_rms(data, &next.feet));
             fitting.take(next);
         } else {
@@ -274,12 +284,17 @@ impl Fitting<'_> {
     fn round(&mut self, first: bool) -> Result<Round, SystemError> {
         let weights = weigh(self.data, &self.feet, self.options, first);
         let sums = self.accumulate(&weights, first);
+        let (jumps, fair) = self.fairness(&weights, first);
         let points = loop {
             let smoothing = self.options.smoothing;
-            match self
-                .system
-                .solve(&sums, smoothing, self.tether, &self.points, self.size)
-            {
+            match self.system.solve(
+                &sums,
+                smoothing,
+                (&jumps, fair),
+                self.tether,
+                &self.points,
+                self.size,
+            ) {
                 // Patches that nothing holds: hold them to where they are.
                 Err(SystemError::Factor(_)) if self.tether < MAX_TETHER => self.tether *= 100.0,
                 solved => break solved?,
@@ -292,6 +307,18 @@ impl Fitting<'_> {
             feet,
             error,
         })
+    }
+
+    /// Jumps of curvature and their weight; none in the first round, whose start is flat.
+    fn fairness(&self, weights: &[f64], first: bool) -> (Vec<fairness::Jump>, f64) {
+        let strength = self.options.fair_curvature;
+        let smooth = self.network.smooth.iter().filter(|s| **s).count();
+        if first || strength <= 0.0 || smooth == 0 {
+            return (Vec::new(), 0.0);
+        }
+        let total: f64 = weights.iter().sum();
+        let jumps = fairness::jumps(self.network, &self.points);
+        (jumps, strength * total / smooth as f64)
     }
 
     /// Stiffens the parameters of folded patches and of their neighbours until none is left or it no longer
@@ -514,6 +541,7 @@ mod tests {
                 normal_term,
                 smoothing: 1e-6,
                 outlier_scale: f64::INFINITY,
+                fair_curvature: 0.0,
             };
             let fit = fit(&network, &vertices, &data, None, &options).unwrap();
             let surface = Surface {
@@ -537,5 +565,54 @@ mod tests {
                 assert!(*fit.history.last().unwrap() < 1e-2, "{:?}", fit.history);
             }
         }
+    }
+
+    #[test]
+    fn fair_curvature_brings_curvature_together_and_keeps_to_the_data() {
+        let (vertices, faces) = icosahedron();
+        let network = Network::new(&vertices, &faces, &[], &[]).unwrap();
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
+        // An ellipsoid, its points off by up to 0.01.
+        let axes = Vec3::new(1.0, 0.8, 0.6);
+        let data: Vec<Datum> =
+            std::iter::repeat_with(|| Vec3::from_fn(|_, _| random.random_range(-1.0..1.0)))
+                .filter(|v| v.norm() > 0.1 && v.norm() < 1.0)
+                .take(1000)
+                .enumerate()
+                .map(|(k, v)| {
+                    let round = v.normalize();
+                    let normal = round.component_div(&axes).normalize();
+                    Datum {
+                        position: round.component_mul(&axes)
+                            + normal * (0.01 * (12.9898 * k as f64).sin()),
+                        normal,
+                        weight: 1.0,
+                        normal_weight: 1e-2,
+                        kind: Kind::Measured,
+                    }
+                })
+                .collect();
+        let base: Vec<Vec3> = vertices.iter().map(|v| v.component_mul(&axes)).collect();
+        let [plain, fair] = [0.0, 1.0].map(|fair_curvature| {
+            let options = FitOptions {
+                rounds: 4,
+                normal_term: NormalTerm::ParameterFree,
+                smoothing: 1e-6,
+                outlier_scale: f64::INFINITY,
+                fair_curvature,
+            };
+            let fit = fit(&network, &base, &data, None, &options).unwrap();
+            let surface = Surface {
+                vertices: fit.points[..12].to_vec(),
+                faces: faces.clone(),
+                control_points: network.patches(&fit.points),
+                ..Surface::default()
+            };
+            let measures = surface.measure().unwrap();
+            assert!(measures.g1_max_degrees < 1e-9);
+            (measures.curvature_jump_rms, *fit.history.last().unwrap())
+        });
+        assert!(fair.0 < 0.2 * plain.0, "{plain:?} {fair:?}");
+        assert!(fair.1 < 1.1 * plain.1, "{plain:?} {fair:?}");
     }
 }

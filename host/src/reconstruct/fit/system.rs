@@ -8,6 +8,7 @@
 //! x, y and z. Entries are added in a fixed order on one thread, so results do not depend on threads.
 
 use super::cholesky::{BlockPattern, Cholesky};
+use super::fairness::Jump;
 use crate::Vec3;
 use crate::spline::bernstein::CONTROL_POINTS;
 use crate::spline::energy::{PatchForm, THIN_PLATE, THIRD, jump_rows};
@@ -177,11 +178,7 @@ impl System {
         }
         let rows: Vec<u32> = pairs.iter().map(|(_, row)| *row).collect();
         let block_columns: Vec<u32> = pairs.iter().map(|(column, _)| *column).collect();
-        let block = |a: u32, b: u32| {
-            let (column, row) = (a.min(b) as usize, a.max(b));
-            let range = &rows[starts[column]..starts[column + 1]];
-            starts[column] + range.binary_search(&row).unwrap_or(0)
-        };
+        let block = |a: u32, b: u32| find_block(&starts, &rows, a, b);
         let mut energy = vec![0.0; rows.len()];
         let mut penalty = vec![0.0; rows.len()];
         let mut patch_blocks = Vec::with_capacity(network.numbers.len());
@@ -229,8 +226,8 @@ impl System {
         })
     }
 
-    /// Minimises the data's squares plus `jump` times the jump energy, `tether` (relative to the mean
-    /// diagonal) times the squared distance to `previous`, under the G1 equations.
+    /// Minimises the data's squares plus `jump` times the jump energy, `fair.1` times the squared jumps of curvature,
+    /// `tether` (relative to the mean diagonal) times the squared distance to `previous`, under the G1 equations.
     ///
     /// # Errors
     /// When the factorisation fails or the result is not finite.
@@ -238,6 +235,7 @@ impl System {
         &mut self,
         sums: &[PatchSums],
         jump: f64,
+        fair: (&[Jump], f64),
         tether: f64,
         previous: &[Vec3],
         size: f64,
@@ -258,6 +256,15 @@ impl System {
         }
         for (block, energy) in self.energy.iter().enumerate() {
             self.add_scalar(&mut values, block, jump * energy);
+        }
+        for Jump { terms, normal } in fair.0 {
+            let metric = upper(&(normal * normal.transpose() * fair.1));
+            for (place, (a, left)) in terms.iter().enumerate() {
+                for (b, right) in &terms[..=place] {
+                    let weight = left * right;
+                    self.add_block(&mut values, self.block(*a, *b), &metric.map(|m| m * weight));
+                }
+            }
         }
         let mut mean = 0.0;
         for column in 0..self.count {
@@ -306,6 +313,11 @@ impl System {
         }
         self.project(&mut points, size);
         Ok(points)
+    }
+
+    /// The block of two control points that lie in the first three rows beside one edge, or in one patch.
+    fn block(&self, a: u32, b: u32) -> usize {
+        find_block(&self.starts, &self.rows, a, b)
     }
 
     /// Residual of each G1 equation.
@@ -420,6 +432,13 @@ fn gram(equations: &[Equation], count: usize) -> Result<Cholesky, String> {
     let mut factor = Cholesky::new(&blocks, 3)?;
     factor.factor(&values)?;
     Ok(factor)
+}
+
+/// Place of the block of control points `a` and `b` in the pattern.
+fn find_block(starts: &[usize], rows: &[u32], a: u32, b: u32) -> usize {
+    let (column, row) = (a.min(b) as usize, a.max(b));
+    let range = &rows[starts[column]..starts[column + 1]];
+    starts[column] + range.binary_search(&row).unwrap_or(0)
 }
 
 /// Entries xx, xy, xz, yy, yz, zz.
