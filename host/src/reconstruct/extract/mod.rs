@@ -105,6 +105,11 @@ const SURE: f64 = 0.5;
 const SURE_LEAST: f64 = 1e-4;
 /// Surface is followed this far from the contacts (normalised) when holes may be closed.
 const REACH: f64 = 0.25;
+/// Radius (normalised) of the closing that straightens a border between the outermost contacts: as wide as the reach allows.
+const WIDE_CLOSING: f64 = 0.8 * REACH;
+/// It adds surface up to this many contact spacings from a contact. Between 1.5 and 3 the rims of five bowls came out the
+/// same; the least of them invents least in narrow bays.
+const FILL_SPACINGS: f64 = 1.5;
 /// Bytes per lattice cube, everything counted (values, cuts, vertices, faces); measured at 380 to 450.
 const BYTES_PER_CUBE: usize = 500;
 
@@ -213,6 +218,8 @@ fn trace(frame: Frame, fitted: Fitted, options: &Options) -> Result<Extracted, E
         radius: hole_radius,
         deepest: options.max_gap.map(|gap| 0.5 * gap / frame.scale),
         reach: reach - 2.0 * spacing,
+        wide: WIDE_CLOSING,
+        fill: FILL_SPACINGS * contact_spacing,
     };
     let (mesh, mut holes) = border::close_or_open(mesh, &support, &closing);
     let least = (data.positions.len() / 200).clamp(3, 20);
@@ -617,6 +624,29 @@ mod tests {
             .map(|x| x.x)
             .fold(-1.0, f64::max);
         assert!(most > 0.08);
+    }
+
+    #[test]
+    fn a_border_runs_straight_from_one_outermost_contact_to_the_next() {
+        // A square sheet whose last contacts at x = 1 are far apart.
+        let mut cloud = Cloud::default();
+        for i in 0..=25 {
+            for j in 0..=25 {
+                let x = Vec3::new(0.04 * f64::from(i), 0.04 * f64::from(j), 0.0);
+                if x.x < 0.93 || j % 5 == 0 {
+                    cloud.points.push(contact(x, Vec3::z()));
+                }
+            }
+        }
+        let result = extract(&cloud, &Options::default()).unwrap();
+        assert_eq!(border_loops(&result.mesh), 1);
+        let mesh = &result.mesh.positions;
+        // A disc of 3.3 spacings would dip by about 0.05 between contacts 0.2 apart.
+        for middle in [0.3, 0.5, 0.7] {
+            let beside = mesh.iter().filter(|x| (x.y - middle).abs() < 0.03);
+            let most = beside.map(|x| x.x).fold(0.0, f64::max);
+            assert!((0.975..1.01).contains(&most), "{most} beside {middle}");
+        }
     }
 
     #[test]
