@@ -139,7 +139,9 @@ pub(super) fn close_or_open(
             hole.depth = support[v];
             hole.place = mesh.positions[v];
         }
-        hole.bounded &= !on_border[v] && support[v] < closing.reach;
+        // What no contact faces may still be closed: a pocket that ends in itself. Where it runs off it has a border.
+        let within = support[v] < closing.reach || support[v].is_infinite();
+        hole.bounded &= within && !on_border[v];
         at_border[n] |= on_border[v];
     }
     for f in &mesh.faces {
