@@ -34,7 +34,7 @@ pub struct Faults {
     pub swap: f64,
     /// A burst of 1 to 200 bytes of noise replaces what would have come.
     pub burst: f64,
-    /// The rest of what was written in one go is lost.
+    /// 1 to 200 bytes are lost in one go, as when a write was cut short.
     pub truncate: f64,
     /// The line stalls for 1 to 50 ms.
     pub stall: f64,
@@ -77,6 +77,7 @@ impl Faults {
 pub struct FaultInjector {
     rng: ChaCha8Rng,
     noise_left: usize,
+    lost_left: usize,
     /// Bytes that were changed, lost or added.
     pub injected: u64,
 }
@@ -87,6 +88,7 @@ impl FaultInjector {
         Self {
             rng: ChaCha8Rng::seed_from_u64(seed),
             noise_left: 0,
+            lost_left: 0,
             injected: 0,
         }
     }
@@ -97,6 +99,11 @@ impl FaultInjector {
         let mut stall = Duration::ZERO;
         let mut held: Option<u8> = None;
         for &byte in bytes {
+            if self.lost_left > 0 {
+                self.lost_left -= 1;
+                self.injected += 1;
+                continue;
+            }
             if self.noise_left > 0 || faults.garbage {
                 self.noise_left = self.noise_left.saturating_sub(1);
                 self.injected += 1;
@@ -127,7 +134,7 @@ impl FaultInjector {
                 out.push(self.rng.random());
             } else if falls_in(faults.truncate) {
                 self.injected += 1;
-                break;
+                self.lost_left = self.rng.random_range(0..200);
             } else {
                 if falls_in(faults.stall) {
                     stall += Duration::from_millis(self.rng.random_range(1..=50));

@@ -261,3 +261,66 @@ fn contacts_in_one_plane_give_a_sheet() {
     assert!(report["error"]["max"].as_f64().unwrap() < 1.0);
     assert!(!report["error"]["reason"].as_str().unwrap().is_empty());
 }
+
+#[test]
+fn absurd_inputs_end_in_a_clear_answer() {
+    let ball = sphere_rows(200);
+    let line = |k: i32| {
+        format!(
+            "{} {} {} 0 0 1",
+            0.01 * f64::from(k),
+            0.02 * f64::from(k),
+            0.7
+        )
+    };
+    let skew: Vec<String> = (0..300).map(line).collect();
+    let same = vec!["1 2 3 0 0 1".to_owned(); 100_000];
+    let beside: Vec<String> = [&ball[..], &ball[7..8], &ball[7..8], &ball[7..8]].concat();
+    let mut state = 1_u64;
+    let mut any = || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f64 / f64::from(1 << 24) - 0.5
+    };
+    let random: Vec<String> = (0..800)
+        .map(|_| {
+            (0..6)
+                .map(|_| any().to_string())
+                .collect::<Vec<_>>()
+                .join(" ")
+        })
+        .collect();
+    for (rows, words) in [
+        (&skew, "lie on a line"),
+        (&same, "no extent"),
+        (&random, "fit no common surface"),
+    ] {
+        let folder = folder_with("p.xyz", rows);
+        refused(&folder, "reconstruct p.xyz", 3, &[words]);
+    }
+    let folder = folder_with("p.xyz", &ball);
+    refused(
+        &folder,
+        "reconstruct p.xyz --threads 100000",
+        2,
+        &["threads", "512"],
+    );
+    refused(
+        &folder,
+        "reconstruct p.xyz --max-memory 0",
+        3,
+        &["more than the 0 allowed"],
+    );
+
+    // What repeats exactly is counted once, and said.
+    let folder = folder_with("p.xyz", &beside);
+    let report = only_object(&run(folder.path(), "reconstruct p.xyz --json"));
+    assert_eq!(report["input"]["points"], 203);
+    assert_eq!(report["input"]["used"], 203);
+    let notes = report["notes"].to_string();
+    assert!(
+        notes.contains("3 contacts repeat another exactly"),
+        "{notes}"
+    );
+}

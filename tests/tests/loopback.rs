@@ -3,18 +3,28 @@
 use palpus_host::hand::Hand;
 use palpus_host::link::board;
 use palpus_host::link::connection::Connection;
-use palpus_host::link::host_clock::HostClock;
+use palpus_host::link::host_clock::{HostClock, wall_us};
 use palpus_host::link::port::DEFAULT_BAUD;
 use palpus_host::run::RunError;
 use palpus_host::run::capture::{
     CaptureError, CaptureEvent, CaptureSettings, CaptureSummary, End, capture,
 };
 use palpus_host::run::points::points;
-use palpus_tests::bench_board::{BenchBoard, BenchSettings, RADIUS_MM, pressed_at};
+use palpus_protocol::{
+    BoardMessage, Decoder, Frame, HostMessage, Identify, MAX_FRAME_BYTES, PROTOCOL_VERSION,
+};
+use palpus_tests::bench_board::{
+    BenchBoard, BenchSettings, RADIUS_MM, firmware, pressed_at, pseudo_terminal,
+};
 use palpus_tests::fault_line::{FaultLine, Faults, LineFaults};
+use palpus_tests::fuzz::framed;
+use palpus_tests::outcome::palpus;
+use serialport::SerialPort;
 use std::collections::BTreeSet;
+use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::time::{Duration, Instant};
 
 fn hand() -> Vec<(String, String)> {
@@ -133,7 +143,7 @@ fn points_lie_where_the_tip_was_pressed() {
     let mut times = Vec::new();
     run.each(|item| {
         if let palpus_host::run::reader::RunItem::Frame { wire, .. } = item
-            && let Ok(palpus_protocol::BoardMessage::Contact(contact)) =
+            && let Ok(BoardMessage::Contact(contact)) =
                 palpus_host::link::connection::decode_wire(&wire)
         {
             times.push(contact.board_time_us);
@@ -190,12 +200,120 @@ fn what_is_given_wrongly_is_refused_by_name() {
     );
     assert_eq!(std::fs::read(&output).unwrap(), b"mine");
 
+    // A folder that is not there, and one in which nobody may make a file.
     let nowhere = folder.path().join("missing").join("run.mcap");
-    let error = capture(&settings(&ports, &nowhere), &never, &mut quiet).unwrap_err();
+    for output in [nowhere.as_path(), Path::new("/proc/run.mcap")] {
+        let error = capture(&settings(&ports, output), &never, &mut quiet).unwrap_err();
+        assert!(
+            matches!(error, CaptureError::Run(RunError::Create { .. })),
+            "{error}"
+        );
+    }
+}
+
+/// By how much the wall clock of one test is set.
+static SET_BY_US: AtomicI64 = AtomicI64::new(0);
+
+#[test]
+fn setting_the_computers_clock_moves_no_contact_and_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("run.mcap");
+    let boards = boards(1);
+    let settings = CaptureSettings {
+        clock: HostClock::of(|| wall_us() + SET_BY_US.load(Ordering::Relaxed), 1.0),
+        ..settings(&ports(&boards), &output)
+    };
+    capture_during(&settings, |wait_until| {
+        wait_until("it runs", &|p| p.contacts(0) > 100);
+        SET_BY_US.store(-3_600_000_000, Ordering::Relaxed);
+        wait_until("it goes on", &|p| p.contacts(0) > 300);
+    });
+    let (mut said, mut times) = (Vec::new(), Vec::new());
+    let run = palpus_host::run::reader::Run::open(&output).unwrap();
+    run.each(|item| match item {
+        palpus_host::run::reader::RunItem::Event(event) => said.push(event.message),
+        palpus_host::run::reader::RunItem::Frame { received_ns, .. } => times.push(received_ns),
+        palpus_host::run::reader::RunItem::Link { .. } => {}
+    })
+    .unwrap();
     assert!(
-        matches!(error, CaptureError::Run(RunError::Create { .. })),
-        "{error}"
+        said.iter().any(|text| text.contains("set by -3600.0")),
+        "{said:?}"
     );
+    // Messages are written as they were received.
+    assert!(times.is_sorted() && times[times.len() - 1] - times[0] < 600_000_000_000);
+}
+
+#[test]
+fn a_board_of_another_version_is_named_and_still_says_who_it_is() {
+    // A board that only answers `identify`, as one of the next protocol version would.
+    let (mut near, device) = pseudo_terminal();
+    let path = device.name().unwrap();
+    let stop = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&stop);
+    let board = std::thread::spawn(move || {
+        let mut decoder = Decoder::new();
+        let mut buffer = [0; 256];
+        while !told.load(Ordering::Relaxed) {
+            let count = near.read(&mut buffer).unwrap_or(0);
+            for &byte in &buffer[..count] {
+                let Some(Ok(frame)) = decoder.push(byte) else {
+                    continue;
+                };
+                if let Ok(HostMessage::Identify(asked)) = HostMessage::try_from(frame) {
+                    let _ = near.write_all(&identity_of_the_next_version(asked.request_id));
+                }
+            }
+        }
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("run.mcap");
+    let fingers = [(finger_names().remove(0), path.clone())];
+    let error = capture(
+        &settings(&fingers, &output),
+        &AtomicBool::new(false),
+        &mut quiet,
+    )
+    .unwrap_err()
+    .to_string();
+    let (ours, theirs) = (PROTOCOL_VERSION, PROTOCOL_VERSION + 1);
+    for part in [
+        format!("version {theirs}"),
+        format!("this side {ours}"),
+        format!("palpus board {path} info"),
+    ] {
+        assert!(error.contains(&part), "{part}: {error}");
+    }
+    assert!(!output.exists());
+    let info = palpus(folder.path(), &["board", &path, "info"]);
+    assert_eq!(info.code, 0, "{info:?}");
+    assert!(info.stdout.contains("0.9.9"), "{}", info.stdout);
+    let stats = palpus(folder.path(), &["board", &path, "stats"]);
+    assert_eq!(stats.code, 5, "{stats:?}");
+    stop.store(true, Ordering::Relaxed);
+    board.join().unwrap();
+}
+
+/// An identity's frame with the next version in its envelope and a field more than ours.
+fn identity_of_the_next_version(request_id: u32) -> Vec<u8> {
+    let bench = BenchSettings::new("index", 0);
+    let mut board = firmware(&bench, bench.start_us, &Arc::new(AtomicBool::new(false)));
+    let mut out = [0; MAX_FRAME_BYTES];
+    let length = HostMessage::from(Identify { request_id })
+        .encode(&mut out)
+        .unwrap();
+    board.receive(&out[..length], bench.start_us);
+    let mut wire = board.take_frame(bench.start_us).unwrap().to_vec();
+    wire.pop();
+    let frame = Frame::open(&mut wire).unwrap();
+    let Ok(BoardMessage::Identity(mut identity)) = BoardMessage::try_from(frame) else {
+        panic!("the answer to identify");
+    };
+    identity.firmware_version = "0.9.9".try_into().unwrap();
+    let length = BoardMessage::from(identity).encode(&mut out).unwrap();
+    let frame = Frame::open(&mut out[..length - 1]).unwrap();
+    let body = [frame.body, &[1, 2, 3]].concat();
+    framed(PROTOCOL_VERSION + 1, 0x1234, frame.kind, &body)
 }
 
 #[test]
@@ -339,7 +457,7 @@ fn a_noisy_line_loses_frames_counts_them_and_accepts_no_false_one() {
     let numbers: Vec<u32> = frames
         .iter()
         .filter_map(|f| match palpus_host::link::connection::decode_wire(f) {
-            Ok(palpus_protocol::BoardMessage::Contact(c)) => Some(c.sequence),
+            Ok(BoardMessage::Contact(c)) => Some(c.sequence),
             _ => None,
         })
         .collect();
@@ -462,7 +580,7 @@ fn a_slow_disk_does_not_hold_up_the_boards() {
             let mut file = std::fs::File::open(pipe).unwrap();
             std::thread::sleep(Duration::from_secs(3));
             let mut bytes = Vec::new();
-            std::io::Read::read_to_end(&mut file, &mut bytes).unwrap();
+            file.read_to_end(&mut bytes).unwrap();
             bytes
         })
     };

@@ -152,6 +152,7 @@ enum StopAfter {
 pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
     check_outputs(args)?;
     let cloud = read(&args.input)?;
+    let show = common.verbose > 0 || std::io::stderr().is_terminal();
     let options = Options {
         tolerance: args.tolerance,
         lambda: args.lambda,
@@ -176,13 +177,13 @@ pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
             },
             max_gap: args.max_gap,
             max_memory: args.max_memory.saturating_mul(1 << 20),
+            announce: if show { announce } else { |_| {} },
             ..extract::Options::default()
         },
         chart: (args.surface == Kind::Chart).then_some(usize::from(args.degree)),
         creases: (!args.no_creases).then(CreaseOptions::default),
         ..Options::default()
     };
-    let show = common.verbose > 0 || std::io::stderr().is_terminal();
     let result = reconstruct(&cloud, &options, &|progress| {
         if show {
             match progress {
@@ -208,6 +209,15 @@ pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
     } else {
         Exit::Done
     })
+}
+
+fn announce(lattice: extract::Estimate) {
+    eprintln!(
+        "  lattice of about {} cubes, {:.1} MB of at most {}",
+        lattice.cubes,
+        lattice.bytes as f64 / f64::from(1 << 20),
+        lattice.limit >> 20
+    );
 }
 
 /// Which code a failed reconstruction leaves with.

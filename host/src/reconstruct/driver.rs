@@ -9,6 +9,7 @@ use super::fit::foot::Foot;
 use super::fit::{Datum, FitOptions, Kind, NormalTerm};
 use super::frame::Frame;
 use super::refine::templates::Base;
+use super::repeats;
 use super::simplify::{self, Simplified, SimplifyError};
 use super::surfacing::{
     Fitted, RefineEnd, SurfacingError, SurfacingOptions, distances, fit_base, normal_angles, refine,
@@ -163,12 +164,47 @@ pub fn reconstruct(
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Reconstruction, ReconstructError> {
     let threads = options.threads.unwrap_or(0);
+    if threads > MOST_THREADS {
+        return Err(ReconstructError::BadOption {
+            name: "threads",
+            value: threads as f64,
+            range: "at most 512",
+        });
+    }
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
         .map_err(|e| ReconstructError::Threads(e.to_string()))?;
-    pool.install(|| run(cloud, options, progress))
+    let Some(distinct) = repeats::without(cloud) else {
+        return pool.install(|| run(cloud, options, progress));
+    };
+    let made = pool.install(|| run(&distinct.cloud, options, progress));
+    let mut out = made.map_err(|error| match error {
+        ReconstructError::NoExtent(_) => ReconstructError::NoExtent(cloud.points.len()),
+        ReconstructError::Extract(ExtractError::NotFinite { index }) => {
+            let place = |k: &u32| *k as usize == index;
+            let index = distinct.first.iter().position(place).unwrap_or(index);
+            ExtractError::NotFinite { index }.into()
+        }
+        other => other,
+    })?;
+    let repeated = cloud.points.len() - distinct.cloud.points.len();
+    let first = |k: &u32| out.distances.get(*k as usize).copied();
+    out.distances = distinct
+        .first
+        .iter()
+        .map(|k| first(k).unwrap_or(f64::NAN))
+        .collect();
+    out.report.input.points += repeated;
+    out.report.input.used += repeated;
+    out.report.notes.push(format!(
+        "{repeated} contacts repeat another exactly and were counted once"
+    ));
+    Ok(out)
 }
+
+/// Most threads; a machine that has more gains nothing from them here.
+const MOST_THREADS: usize = 512;
 
 /// Accuracy of the base mesh against the tolerance, and against the noise: patches that miss the field's surface by
 /// this much add nothing to the error that the data leave (bean, ellipsoid, trilobe: 54 to 80 patches when clean).
@@ -185,6 +221,10 @@ const FIELD_TRUST: f64 = 0.35;
 /// Standard deviation of contacts, relative to the size, below which the field's samples lose no more: between exact
 /// contacts the field is still the best there is (clean torus: 0.04e-3 with this, 0.10e-3 without).
 const LEAST_TRUSTED_SIGMA: f64 = 3e-4;
+/// A base mesh with more patches than these, and than so many per contact, follows no surface: 1000 random places and
+/// normals ask for 5400, shapes of one contact in ten to one in two patches. Its fit would take minutes.
+const MOST_BASE_PATCHES: usize = 1000;
+const MOST_BASE_PATCHES_PER_CONTACT: usize = 2;
 /// Samples of the extracted surface: at most so many, and at least so many per patch where the mesh has them.
 const FIELD_SAMPLES: usize = 6000;
 const FIELD_SAMPLES_PER_PATCH: usize = 40;
@@ -247,6 +287,10 @@ fn run(
         tolerance(options, &frame, cloud.diagonal(), noise.position_sigma);
     let simplified = simplify_mesh(spread, &extracted, &creased, options, tolerance)?;
     out.simplified = Some(frame.mesh(&simplified.mesh));
+    let most = MOST_BASE_PATCHES.max(MOST_BASE_PATCHES_PER_CONTACT * cloud.points.len());
+    if options.stop_after > Stage::Simplify && simplified.mesh.faces.len() > most {
+        return Err(ExtractError::NoSurface.into());
+    }
     out.report.phases.push(PhaseFigures {
         name: "simplify".into(),
         seconds: started.elapsed().as_secs_f64(),

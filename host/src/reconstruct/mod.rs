@@ -8,6 +8,7 @@ pub mod extract;
 pub mod fit;
 pub mod frame;
 pub mod refine;
+mod repeats;
 pub mod simplify;
 pub mod surfacing;
 

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A frame with a right check sum around any body: what damage makes once in 4 billion times.
-pub(super) fn framed(version: u8, tag: u16, kind: u8, body: &[u8]) -> Vec<u8> {
+pub fn framed(version: u8, tag: u16, kind: u8, body: &[u8]) -> Vec<u8> {
     let mut raw = vec![b'P', version, tag as u8, (tag >> 8) as u8, kind];
     raw.extend(&body[..body.len().min(MAX_BODY_BYTES)]);
     raw.extend(CRC.checksum(&raw).to_le_bytes());

@@ -15,6 +15,7 @@ mod mutate;
 mod points;
 mod seeds;
 
+pub use link::framed;
 pub use mutate::mutate;
 
 /// Something to throw bytes at.

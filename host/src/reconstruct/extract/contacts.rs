@@ -106,7 +106,11 @@ pub(super) fn normalise(cloud: &Cloud) -> Result<(Frame, Normalised), ExtractErr
     ))
 }
 
-/// Whether all points lie within a millionth of the extent of one line.
+/// Share of the extent within which points are taken to lie on one line: twice what the grid moves them that they come
+/// on ([`crate::reconstruct::frame`]).
+const ON_A_LINE: f64 = 2e-5;
+
+/// Whether all points lie on one line.
 fn on_a_line(positions: &[Vec3]) -> bool {
     let first = positions[0];
     let axis = positions
@@ -117,5 +121,5 @@ fn on_a_line(positions: &[Vec3]) -> bool {
     let length = axis.norm();
     positions
         .iter()
-        .all(|p| axis.cross(&(p - first)).norm() <= 1e-6 * length * length.max(1e-6))
+        .all(|p| axis.cross(&(p - first)).norm() <= ON_A_LINE * length * length.max(1e-6))
 }

@@ -51,7 +51,7 @@ pub use self::{
     border::Hole,
     field::Field,
     kernel::Kernel,
-    options::{ExtractError, LEAST_CONTACTS, Method, Options},
+    options::{Estimate, ExtractError, LEAST_CONTACTS, Method, Options},
 };
 
 /// What the contacts say about their own noise.
@@ -185,6 +185,11 @@ fn trace(frame: Frame, fitted: Fitted, options: &Options) -> Result<Extracted, E
     if expected > limit as f64 {
         return Err(too_much(expected as usize));
     }
+    (options.announce)(Estimate {
+        cubes: expected as usize,
+        bytes: shape.bytes() + expected as usize * BYTES_PER_CUBE,
+        limit: options.max_memory,
+    });
     let seeds: Vec<Vec3> = data
         .positions
         .par_iter()

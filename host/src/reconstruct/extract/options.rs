@@ -11,6 +11,17 @@ pub enum Method {
     TangentPlanes,
 }
 
+/// What the lattice will take, before any of it is taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Estimate {
+    /// Cubes of the lattice that hold surface.
+    pub cubes: usize,
+    /// Bytes of field and lattice.
+    pub bytes: usize,
+    /// Bytes allowed.
+    pub limit: usize,
+}
+
 /// What to extract and how far to go.
 #[derive(Clone, Debug)]
 pub struct Options {
@@ -25,6 +36,8 @@ pub struct Options {
     pub max_gap: Option<f64>,
     /// Most bytes the extraction may take; refused beforehand if it would take more.
     pub max_memory: usize,
+    /// Told what the lattice will take, before it is made; more than once where it is made again.
+    pub announce: fn(Estimate),
 }
 
 impl Default for Options {
@@ -35,6 +48,7 @@ impl Default for Options {
             spacing: None,
             max_gap: None,
             max_memory: 2 << 30,
+            announce: |_| {},
         }
     }
 }
