@@ -11,7 +11,7 @@ use palpus_host::run::capture::{
 };
 use palpus_host::run::points::points;
 use palpus_protocol::{
-    BoardMessage, Decoder, Frame, HostMessage, Identify, MAX_FRAME_BYTES, PROTOCOL_VERSION,
+    BoardMessage, Decoder, Frame, HostMessage, MAX_FRAME_BYTES, PROTOCOL_VERSION,
 };
 use palpus_tests::bench_board::{
     BenchBoard, BenchSettings, RADIUS_MM, firmware, pressed_at, pseudo_terminal,
@@ -298,18 +298,15 @@ fn a_board_of_another_version_is_named_and_still_says_who_it_is() {
 fn identity_of_the_next_version(request_id: u32) -> Vec<u8> {
     let bench = BenchSettings::new("index", 0);
     let mut board = firmware(&bench, bench.start_us, &Arc::new(AtomicBool::new(false)));
-    let mut out = [0; MAX_FRAME_BYTES];
-    let length = HostMessage::from(Identify { request_id })
-        .encode(&mut out)
-        .unwrap();
-    board.receive(&out[..length], bench.start_us);
     let mut wire = board.take_frame(bench.start_us).unwrap().to_vec();
     wire.pop();
     let frame = Frame::open(&mut wire).unwrap();
     let Ok(BoardMessage::Identity(mut identity)) = BoardMessage::try_from(frame) else {
-        panic!("the answer to identify");
+        panic!("what a board says first");
     };
+    identity.request_id = request_id;
     identity.firmware_version = "0.9.9".try_into().unwrap();
+    let mut out = [0; MAX_FRAME_BYTES];
     let length = BoardMessage::from(identity).encode(&mut out).unwrap();
     let frame = Frame::open(&mut out[..length - 1]).unwrap();
     let body = [frame.body, &[1, 2, 3]].concat();
