@@ -11,6 +11,7 @@ pub mod export;
 pub mod hand;
 pub mod import;
 pub mod link;
+pub mod live;
 pub mod mesh;
 pub mod picture;
 pub mod ply;

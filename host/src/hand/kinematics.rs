@@ -71,6 +71,26 @@ pub struct WorldContact {
 }
 
 impl Finger {
+    /// Where the joints, the sensor and the centre of the tip are, root first, to draw the finger; millimetres.
+    ///
+    /// Angles as in [`Self::sensor_pose_mm`].
+    pub fn chain_mm(&self, angles: &[f64]) -> Vec<Vec3> {
+        let mut pose = Isometry3::identity();
+        let mut places = Vec::with_capacity(self.joints.len() + 2);
+        for (k, joint) in self.joints.iter().enumerate() {
+            pose = pose * joint.placement_mm * joint.motion(angles.get(k).copied().unwrap_or(0.0));
+            places.push(pose.translation.vector);
+        }
+        let sensor = pose * self.sensor_placement_mm;
+        places.push(sensor.translation.vector);
+        places.push(
+            (sensor * Translation3::from(self.tip_in_sensor_mm))
+                .translation
+                .vector,
+        );
+        places
+    }
+
     /// Pose of the sensor in the world (the URDF's root link), millimetres.
     ///
     /// `angles` are the joint values in the order of [`Self::joints`]; further values are ignored, missing
@@ -154,6 +174,10 @@ mod tests {
         assert!((pose.rotation * Vec3::z() - Vec3::new(0.0, -1.0, 0.0)).norm() < 1e-12);
         // Sensor x after the plate's quarter turn about y: it was the link's -z.
         assert!((pose.rotation * Vec3::x() - Vec3::new(0.0, 0.0, -1.0)).norm() < 1e-12);
+        let chain = index.chain_mm(&[FRAC_PI_2, -FRAC_PI_2, FRAC_PI_2]);
+        let elbow = Vec3::new(300.0, 0.0, 190.0);
+        assert!(chain.len() == 5 && (chain[2] - elbow).norm() < 1e-9);
+        assert!((chain[4] - pose.translation.vector).norm() < 1e-9);
         let sensor = index.sensor_pose_mm(&[FRAC_PI_2, -FRAC_PI_2, FRAC_PI_2]);
         assert!((sensor.translation.vector - Vec3::new(300.0, -245.0, 190.0)).norm() < 1e-9);
     }

@@ -8,6 +8,8 @@
 //! | `raster`, `shade` | from a scene to pixels |
 //! | `lettering`, `legend` | titles, legends, scale bars |
 //! | `page` | the report page: one HTML file |
+//! | `fields` | numbers over a surface, for maps |
+//! | `web` | what the report page and the live page share |
 //! | `colour`, `image` | colours and colour maps, pixels, PNG |
 //!
 //! Guaranteed: the same input gives the same bytes on any number of threads; all figures of a set are seen
@@ -15,6 +17,7 @@
 
 mod camera;
 mod colour;
+mod fields;
 mod image;
 mod legend;
 mod lettering;
@@ -23,6 +26,7 @@ mod raster;
 mod scene;
 mod shade;
 mod stages;
+pub(crate) mod web;
 
 use std::path::PathBuf;
 
@@ -33,7 +37,7 @@ pub use legend::{Caption, Legend};
 pub use lettering::{Anchor, round_length, short_number, text_width};
 pub use page::Page;
 pub use scene::{Balls, Body, INSIDE, Lines, Paint, Scene};
-pub use stages::{FigureOptions, Foot, Stages, feet_on_surface, patch_borders};
+pub use stages::{FigureOptions, Foot, Stages, feet_on_surface, open_borders, patch_borders};
 
 /// Why a picture could not be made.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

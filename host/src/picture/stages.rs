@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::PictureError;
 use super::camera::{Camera, Projection, View};
 use super::colour::{Colour, ColourMap, Srgb};
+use super::fields::curvatures;
 use super::image::Image;
 use super::legend::{Caption, Legend};
 use super::lettering::short_number;
@@ -24,12 +25,12 @@ use crate::spline::{SampledSurface, Surface, angle_degrees};
 const CLAY: Srgb = Colour::hex(0x9DB7CF);
 const PALE: Srgb = Colour::hex(0xDDE2E7);
 const MESH: Srgb = Colour::hex(0xC9D3DC);
-const EDGE: Srgb = Colour::hex(0x22303C);
+pub(super) const EDGE: Srgb = Colour::hex(0x22303C);
 const POINT: Srgb = Colour::hex(0x1F5C99);
 const FAR_POINT: Srgb = Colour::hex(0xB4C3D1);
-const NORMAL: Srgb = Colour::hex(0xC8642B);
+pub(super) const NORMAL: Srgb = Colour::hex(0xC8642B);
 const FAR_NORMAL: Srgb = Colour::hex(0xE6CBB8);
-const CREASE: Srgb = Colour::hex(0xB3261E);
+pub(super) const CREASE: Srgb = Colour::hex(0xB3261E);
 
 /// How figures are drawn.
 #[derive(Clone, Debug, PartialEq)]
@@ -297,14 +298,9 @@ impl Stages<'_> {
                 caption,
             });
         }
-        let mean: Vec<f64> = sampled
-            .parameters
-            .par_iter()
-            .map(|(patch, at)| {
-                surface
-                    .curvature(*patch as usize, *at)
-                    .map_or(f64::NAN, |[mean, _]| mean)
-            })
+        let mean: Vec<f64> = curvatures(surface, &sampled)
+            .into_iter()
+            .map(|[mean, _]| mean)
             .collect();
         let sizes: Vec<f64> = mean
             .iter()
@@ -443,24 +439,28 @@ pub fn feet_on_surface(sampled: &SampledSurface, points: &[OrientedPoint]) -> Ve
         .collect()
 }
 
-/// Lines along the borders of all patches, and along creases and open borders in their own style.
-pub fn patch_borders(surface: &Surface) -> Vec<Lines> {
+/// The edges of a network as segments, by kind.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct EdgeLines {
+    /// Between two patches that go on smoothly.
+    pub inner: Vec<[Vec3; 2]>,
+    /// With a patch on one side only.
+    pub open: Vec<[Vec3; 2]>,
+    /// Between two patches that meet in a crease.
+    pub creases: Vec<[Vec3; 2]>,
+}
+
+/// The edges of all patches; nothing if the network's indices are wrong.
+pub(super) fn edge_lines(surface: &Surface) -> EdgeLines {
+    let mut lines = EdgeLines::default();
     let Ok(table) = EdgeTable::new(surface.vertices.len(), &surface.faces) else {
-        return Vec::new();
+        return lines;
     };
-    let style = |colour, width| Lines {
-        segments: Vec::new(),
-        width,
-        colour,
-        opacity: 0.85,
-        lift: 0.002,
-    };
-    let mut kinds = [style(EDGE, 1.5), style(EDGE, 2.6), style(CREASE, 2.6)];
     for edge in &table.edges {
         let kind = match edge {
-            edge if edge.is_border() => 1,
-            edge if surface.is_crease(edge.vertices[0], edge.vertices[1]) => 2,
-            _ => 0,
+            edge if edge.is_border() => &mut lines.open,
+            edge if surface.is_crease(edge.vertices[0], edge.vertices[1]) => &mut lines.creases,
+            _ => &mut lines.inner,
         };
         let Some(side) = edge.sides.iter().flatten().next() else {
             continue;
@@ -478,14 +478,34 @@ pub fn patch_borders(surface: &Surface) -> Vec<Lines> {
                 surface.point(side.face as usize, at)
             })
             .collect();
-        kinds[kind]
-            .segments
-            .extend(points.windows(2).map(|ends| [ends[0], ends[1]]));
+        kind.extend(points.windows(2).map(|ends| [ends[0], ends[1]]));
     }
-    kinds
-        .into_iter()
-        .filter(|lines| !lines.segments.is_empty())
-        .collect()
+    lines
+}
+
+/// Segments along the open borders of a surface.
+pub fn open_borders(surface: &Surface) -> Vec<[Vec3; 2]> {
+    edge_lines(surface).open
+}
+
+/// Lines along the borders of all patches, and along creases and open borders in their own style.
+pub fn patch_borders(surface: &Surface) -> Vec<Lines> {
+    let edges = edge_lines(surface);
+    [
+        (edges.inner, EDGE, 1.5),
+        (edges.open, EDGE, 2.6),
+        (edges.creases, CREASE, 2.6),
+    ]
+    .into_iter()
+    .filter(|(segments, ..)| !segments.is_empty())
+    .map(|(segments, colour, width)| Lines {
+        segments,
+        width,
+        colour,
+        opacity: 0.85,
+        lift: 0.002,
+    })
+    .collect()
 }
 
 /// Points as balls and normals as short lines; those that face away are pale.
@@ -558,7 +578,7 @@ fn ball_radius(points: usize) -> f32 {
 }
 
 /// The value below which the given share of the numbers lies; 0 without numbers.
-pub(super) fn quantile(values: &[f64], share: f64) -> f64 {
+pub(crate) fn quantile(values: &[f64], share: f64) -> f64 {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|x| x.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     let place = (share * sorted.len() as f64) as usize;
@@ -568,10 +588,13 @@ pub(super) fn quantile(values: &[f64], share: f64) -> f64 {
         .unwrap_or(0.0)
 }
 
-/// Pictures of one size side by side, three in a row.
+/// Pictures of one size side by side, three to five in a row: whichever leaves the fewest places empty.
 fn contact_sheet(images: &[Image]) -> Image {
     let (width, height) = (images[0].width, images[0].height);
-    let columns = images.len().min(3);
+    let columns = (3..=5)
+        .min_by_key(|columns| (columns - images.len() % columns) % columns)
+        .unwrap_or(3)
+        .min(images.len());
     let rows = images.len().div_ceil(columns);
     let mut sheet = Image::blank(columns * width, rows * height, Srgb([255; 3]));
     for (number, image) in images.iter().enumerate() {

@@ -15,7 +15,7 @@ use super::RunError;
 use super::schema::{Level, LinkState};
 use super::writer::{LogFile, RunStart, RunWriter, WorldContact};
 use crate::Vec3;
-use crate::hand::{Finger, Hand};
+use crate::hand::{Finger, Hand, WorldContact as WorldPlace};
 use crate::link::LinkError;
 use crate::link::host_clock::HostClock;
 use crate::link::port::DEFAULT_BAUD;
@@ -34,6 +34,8 @@ pub const QUEUE_EVENTS: usize = 1 << 16;
 const CLOUD_NS: u64 = 100_000_000;
 /// How often the progress is told and the ends are checked.
 const PROGRESS_EVERY: Duration = Duration::from_millis(100);
+/// Touches that wait for the next progress at most; with more, whoever watches misses some. The run misses none.
+const WAITING_TOUCHES: usize = 1 << 14;
 /// A wall clock that moved by more than this is worth a note, microseconds.
 const WALL_JUMP_US: i64 = 100_000;
 
@@ -111,8 +113,23 @@ pub enum CaptureEvent<'a> {
         /// What.
         text: &'a str,
     },
+    /// What the fingers felt since the last progress, for whoever watches; just before each progress.
+    Touches(&'a [Touch]),
     /// Ten times a second.
     Progress(&'a CaptureProgress),
+}
+
+/// A contact as it came, valid or not, placed in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Touch {
+    /// Place of the finger among the capture's.
+    pub finger: usize,
+    /// When it was sampled, microseconds since the Unix epoch by the host's clock.
+    pub sampled_us: i64,
+    /// As the board sent it.
+    pub contact: Contact,
+    /// Where that is by the joint angles it came with.
+    pub world: WorldPlace,
 }
 
 /// How far a capture is.
@@ -230,6 +247,7 @@ pub fn capture(
         .into());
     }
     let clock = settings.clock;
+    let (touched, touches) = sync_channel(WAITING_TOUCHES);
     let sessions = connect(settings)?;
     check_names(settings, &sessions)?;
     for ((finger, port), session) in settings.fingers.iter().zip(&sessions) {
@@ -255,7 +273,8 @@ pub fn capture(
         stop,
         tell,
         sessions,
-        Recorder::new(writer, fingers, settings),
+        Recorder::new(writer, fingers, settings, touched),
+        &touches,
     )
 }
 
@@ -265,6 +284,7 @@ fn record(
     tell: &mut dyn FnMut(CaptureEvent<'_>),
     sessions: Vec<Session>,
     recorder: Recorder<'_>,
+    touches: &Receiver<Touch>,
 ) -> Result<CaptureSummary, CaptureError> {
     let (clock, count) = (settings.clock, sessions.len());
     let (queue, queued) = sync_channel::<Queued>(QUEUE_EVENTS * count);
@@ -295,6 +315,7 @@ fn record(
         drop(notes);
 
         let mut wall_jump_us = clock.wall_jump_us();
+        let mut felt = Vec::new();
         loop {
             for (finger, weight, text) in noted.try_iter() {
                 tell(CaptureEvent::Note {
@@ -324,6 +345,11 @@ fn record(
                     finger: count,
                     event,
                 });
+            }
+            felt.clear();
+            felt.extend(touches.try_iter());
+            if !felt.is_empty() {
+                tell(CaptureEvent::Touches(&felt));
             }
             tell(CaptureEvent::Progress(&progress(
                 settings, &statuses, shared, began,
@@ -515,6 +541,7 @@ struct Recorder<'a> {
     fingers: Vec<Finger>,
     clouds: Vec<Gathered>,
     settings: &'a CaptureSettings,
+    touched: SyncSender<Touch>,
 }
 
 impl<'a> Recorder<'a> {
@@ -522,8 +549,10 @@ impl<'a> Recorder<'a> {
         writer: RunWriter<LogFile>,
         fingers: Vec<Finger>,
         settings: &'a CaptureSettings,
+        touched: SyncSender<Touch>,
     ) -> Self {
         Self {
+            touched,
             writer,
             clouds: fingers.iter().map(|_| Gathered::default()).collect(),
             fingers,
@@ -569,13 +598,22 @@ impl<'a> Recorder<'a> {
                 let sampled_ns = nanoseconds(sampled_us);
                 self.writer
                     .frame(finger, nanoseconds(received_us), sampled_ns, &wire)?;
-                match contact {
-                    Some(contact) if contact.is_valid() => {
-                        shared.points.fetch_add(1, Ordering::Relaxed);
-                        self.gather(finger, sampled_ns, &contact)
-                    }
-                    _ => Ok(()),
+                let (Some(contact), Some(geometry)) = (contact, self.fingers.get(finger)) else {
+                    return Ok(());
+                };
+                let world = world_contact(geometry, &contact);
+                // Whoever watches may miss some; the run has them all.
+                let _ = self.touched.try_send(Touch {
+                    finger,
+                    sampled_us,
+                    contact,
+                    world,
+                });
+                if !contact.is_valid() {
+                    return Ok(());
                 }
+                shared.points.fetch_add(1, Ordering::Relaxed);
+                self.gather(finger, sampled_ns, &contact, &world)
             }
             LinkEvent::RoundTrip(trip) => self.writer.round_trip(finger, trip),
             LinkEvent::Status(status) => {
@@ -615,12 +653,11 @@ impl<'a> Recorder<'a> {
         finger: usize,
         sampled_ns: u64,
         contact: &Contact,
+        world: &WorldPlace,
     ) -> Result<(), RunError> {
-        let (Some(geometry), Some(cloud)) = (self.fingers.get(finger), self.clouds.get_mut(finger))
-        else {
+        let Some(cloud) = self.clouds.get_mut(finger) else {
             return Ok(());
         };
-        let world = world_contact(geometry, contact);
         if cloud.contacts.is_empty() {
             cloud.since_ns = sampled_ns;
         }
@@ -646,7 +683,7 @@ impl<'a> Recorder<'a> {
 }
 
 /// A contact in the world by the joint angles in its own frame.
-pub(super) fn world_contact(finger: &Finger, contact: &Contact) -> crate::hand::WorldContact {
+pub(super) fn world_contact(finger: &Finger, contact: &Contact) -> WorldPlace {
     let wide = |v: [f32; 3]| v.map(f64::from);
     finger.world_contact(
         &wide(contact.joint_angles_rad),

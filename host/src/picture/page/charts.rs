@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use super::super::lettering::{round_length, short_number};
 use super::super::stages::{Foot, quantile};
-use super::escaped;
+use super::super::web::escaped;
 use crate::report::Report;
 
 const WIDTH: f64 = 360.0;

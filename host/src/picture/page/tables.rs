@@ -4,7 +4,8 @@ use std::fmt::Write as _;
 
 use super::super::lettering::short_number;
 use super::super::stages::Foot;
-use super::{Page, escaped};
+use super::super::web::escaped;
+use super::Page;
 use crate::report::ErrorFigures;
 use crate::spline::{Measures, SampledSurface};
 
