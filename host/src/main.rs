@@ -2,17 +2,26 @@
 
 mod cli;
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use std::process::ExitCode;
 
 /// Small systems are factored by the thousand: with the C library's allocator a fifth of the time of `reconstruct` goes
 /// into giving their pages back and taking them again.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+const EXAMPLES: &str = "\
+Examples:
+  palpus demo                                       the whole path without hardware
+  palpus reconstruct points.ply -o surface.json --page surface.html
+  palpus capture --finger index=/dev/ttyACM0 --hand hand.urdf -o run.mcap --live
+  palpus help reconstruct                           options and examples of one command
+
+Exit codes: 0 done; 2 wrong usage; 3 input refused; 4 with --strict, tolerance not met; 5 device or link trouble;
+130 interrupted, with all captured data saved.";
 
 /// Touch a thing, get its surface.
 #[derive(Parser)]
-#[command(name = "palpus", version, about)]
+#[command(name = "palpus", version, about, after_help = EXAMPLES)]
 struct Palpus {
     #[command(flatten)]
     common: cli::Common,
@@ -32,6 +41,8 @@ enum Command {
     Points(cli::points::Args),
     Report(cli::report::Args),
     Reconstruct(cli::reconstruct::Args),
+    Completions(cli::manual::CompletionsArgs),
+    Manual(cli::manual::ManualArgs),
 }
 
 fn main() -> ExitCode {
@@ -45,11 +56,13 @@ fn main() -> ExitCode {
         Command::Points(args) => cli::points::run(&palpus.common, args),
         Command::Report(args) => cli::report::run(&palpus.common, args),
         Command::Reconstruct(args) => cli::reconstruct::run(&palpus.common, &args),
+        Command::Completions(args) => cli::manual::completions(&args, Palpus::command()),
+        Command::Manual(args) => cli::manual::manual(&palpus.common, &args, Palpus::command()),
     };
     match outcome {
         Ok(exit) => exit.into(),
         Err(failure) => {
-            eprintln!("palpus: {}", said_once(&failure.error));
+            cli::say::err(&format!("palpus: {}", said_once(&failure.error)));
             failure.exit.into()
         }
     }

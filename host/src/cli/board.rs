@@ -1,6 +1,6 @@
 //! `palpus board`: talks to one board.
 
-use super::{Common, Exit, Failure};
+use super::{Common, Exit, Failure, say};
 use palpus_host::link::LinkError;
 use palpus_host::link::board::{
     calibration, compare_clocks, mean_counts, ping, raw, statistics, store_calibration, tare,
@@ -197,7 +197,8 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
     } else {
         write!(out, "{text}")
     };
-    printed.map_err(|e| Failure::new(Exit::Device, e))?;
+    // A reader that has gone away is no fault of the board.
+    drop(printed);
     Ok(Exit::Done)
 }
 
@@ -391,10 +392,10 @@ fn measure(board: &mut Connection, loads: &mut [Load], samples: usize) -> Result
         } else {
             parts.join(", ")
         };
-        eprintln!(
+        say::err(&format!(
             "load {} of {total}: {what}; press Enter when it is on and still",
             k + 1
-        );
+        ));
         let mut line = String::new();
         stdin
             .lock()

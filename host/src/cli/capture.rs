@@ -1,6 +1,7 @@
 //! `palpus capture`: records all fingers into a run.
 
-use super::{Common, Exit, Failure};
+use super::live::{LiveArgs, Watch};
+use super::{Common, Exit, Failure, outputs, say};
 use palpus_host::hand::Hand;
 use palpus_host::link::port::DEFAULT_BAUD;
 use palpus_host::link::session::Weight;
@@ -17,6 +18,14 @@ use std::time::Duration;
 
 /// Record all fingers into a run, until told to stop (Ctrl-C), or for a time, or for a number of points.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  palpus capture --finger index=/dev/ttyACM0 --hand hand.urdf -o run.mcap
+      one finger, until Ctrl-C
+  palpus capture --finger index=/dev/ttyACM0 --finger thumb=/dev/ttyACM1 --hand hand.urdf -o run.mcap --tare --live
+      tare with free tips, then record two fingers and watch them in the browser
+  palpus capture --finger index=/dev/ttyACM0 --hand hand.urdf -o run.mcap --points 5000 --json
+      end by itself after 5000 valid contacts")]
 pub struct Args {
     /// A finger and the port of its board, such as `index=/dev/ttyACM0`; once per finger.
     #[arg(long = "finger", value_name = "NAME=PORT", required = true, value_parser = name_and_port)]
@@ -45,6 +54,8 @@ pub struct Args {
     /// Also record the raw gauges of every N-th period; mind the line's speed.
     #[arg(long, value_name = "N", default_value_t = 0)]
     raw_every: u8,
+    #[command(flatten)]
+    live: LiveArgs,
 }
 
 fn name_and_port(text: &str) -> Result<(String, String), String> {
@@ -67,6 +78,7 @@ fn positive_seconds(text: &str) -> Result<f64, String> {
 
 /// Runs the command.
 pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
+    outputs::check_file(&args.output)?;
     let hand = Hand::sources(&args.hand).map_err(|e| Failure::new(Exit::Input, e))?;
     let stop = Arc::new(AtomicBool::new(false));
     let told = Arc::clone(&stop);
@@ -84,11 +96,29 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
         points: args.points,
         ..CaptureSettings::every_contact(args.fingers, hand, args.output)
     };
-    let mut screen = Screen::new(common);
-    let result = capture(&settings, &stop, &mut |event| screen.show(&event));
+    let names: Vec<String> = settings
+        .fingers
+        .iter()
+        .map(|(name, _)| name.clone())
+        .collect();
+    let watch = Watch::start(&args.live, &names, &settings.hand, &stop)?;
+    let mut screen = Screen::new(common, &settings);
+    let result = capture(&settings, &stop, &mut |event| {
+        let on_screen = watch.as_ref().is_some_and(|watch| watch.show(&event));
+        if !on_screen {
+            screen.show(&event);
+        }
+    });
     screen.clear();
+    if let Some(watch) = watch {
+        watch.end(match &result {
+            Ok(summary) => end_name(summary.end),
+            Err(_) => "failed",
+        });
+    }
     let summary = result.map_err(|error| Failure::new(exit_of(&error), error))?;
-    print_summary(common, &settings, &summary).map_err(|e| Failure::new(Exit::Device, e))?;
+    // A reader that has gone away is no fault of the capture.
+    let _ = print_summary(common, &settings, &summary);
     Ok(match summary.end {
         End::Stopped => Exit::Interrupted,
         End::Duration | End::Points => Exit::Done,
@@ -116,10 +146,12 @@ struct Screen {
     previous: CaptureProgress,
     ticks: usize,
     rates: Vec<f64>,
+    duration: Option<f64>,
+    points: Option<u64>,
 }
 
 impl Screen {
-    fn new(common: &Common) -> Self {
+    fn new(common: &Common, settings: &CaptureSettings) -> Self {
         let terminal = std::io::stderr().is_terminal();
         Self {
             live: terminal,
@@ -128,6 +160,8 @@ impl Screen {
             previous: CaptureProgress::default(),
             ticks: 0,
             rates: Vec::new(),
+            duration: settings.duration.map(|d| d.as_secs_f64()),
+            points: settings.points,
         }
     }
 
@@ -159,6 +193,7 @@ impl Screen {
                 };
                 self.line(&format!("{mark}{finger}: {text}"));
             }
+            CaptureEvent::Touches(_) => {}
             CaptureEvent::Progress(progress) => self.progress(progress),
         }
     }
@@ -166,7 +201,7 @@ impl Screen {
     fn line(&mut self, text: &str) {
         if self.notes {
             self.clear();
-            eprintln!("{text}");
+            say::err(text);
         }
     }
 
@@ -202,17 +237,33 @@ impl Screen {
                     s.clock_bound_us * 1e-3,
                 );
             }
+            let rate: f64 = self.rates.iter().sum();
             let _ = writeln!(
                 err,
-                "{:>10} {:6.1} s   {:>9} points    {:.1} MB safe",
+                "{:>10} {:6.1} s   {:>9} points    {rate:.0} contacts/s  {:.1} MB safe{}",
                 "all",
                 progress.elapsed.as_secs_f64(),
                 progress.points,
-                progress.safe_bytes as f64 * 1e-6
+                progress.safe_bytes as f64 * 1e-6,
+                self.left(progress)
             );
             self.lines = progress.fingers.len() + 1;
         }
         self.ticks += 1;
+    }
+
+    /// What is left until the time or the number of points that was asked for, whichever comes first.
+    fn left(&self, progress: &CaptureProgress) -> String {
+        let seconds = progress.elapsed.as_secs_f64();
+        let rate = progress.points as f64 / seconds.max(1e-3);
+        let by_points = self
+            .points
+            .map(|points| points.saturating_sub(progress.points) as f64 / rate.max(1e-3));
+        let by_time = self.duration.map(|duration| duration - seconds);
+        match by_points.into_iter().chain(by_time).reduce(f64::min) {
+            Some(left) if left < 1e6 => format!("  {:.0} s left", left.max(0.0)),
+            _ => String::new(),
+        }
     }
 
     /// Takes the live lines away again.
@@ -221,6 +272,14 @@ impl Screen {
             let _ = write!(std::io::stderr().lock(), "\x1b[{}A\x1b[J", self.lines);
             self.lines = 0;
         }
+    }
+}
+
+fn end_name(end: End) -> &'static str {
+    match end {
+        End::Duration => "duration",
+        End::Points => "points",
+        End::Stopped => "stopped",
     }
 }
 
@@ -246,11 +305,7 @@ fn print_summary(
                 })
             })
             .collect();
-        let end = match summary.end {
-            End::Duration => "duration",
-            End::Points => "points",
-            End::Stopped => "stopped",
-        };
+        let end = end_name(summary.end);
         return writeln!(
             out,
             "{}",

@@ -1,7 +1,9 @@
 //! `palpus demo`: no hardware; a simulated hand, real terminals, a surface, and what to open.
 
+use super::live::{LiveArgs, Watch};
+use super::progress::PhaseLine;
 use super::reconstruct::{segments, stages};
-use super::{Common, Exit, Failure, simulate};
+use super::{Common, Exit, Failure, outputs, say, simulate};
 use anyhow::Context;
 use palpus_host::cloud::write_ply;
 use palpus_host::demo::{Demo, Step, demo};
@@ -9,16 +11,23 @@ use palpus_host::export::surface_file::Provenance;
 use palpus_host::export::{Origin, SurfaceFile, step, write_bytes, write_mesh};
 use palpus_host::hand::Hand;
 use palpus_host::picture::{FigureOptions, Page};
-use palpus_host::reconstruct::{Options, Progress};
+use palpus_host::reconstruct::Options;
 use palpus_host::run::capture::CaptureEvent;
 use palpus_host::simulate::{HandOptions, Noise};
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Explore an object with a simulated three-finger hand and reconstruct it.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  palpus demo
+      a torus; everything goes to palpus-demo/
+  palpus demo --object mug --live
+      a mug, with a page to watch it being touched
+  palpus demo --object part.stl --size 120 --noise 2 --out part
+      a mesh of your own, 120 mm long, with twice the usual noise")]
 pub struct Args {
     /// What to touch: sphere, ellipsoid, torus, two-holed-torus, mug, bowl, bean, trilobe, cube, cylinder, or a
     /// closed mesh file (.ply, .obj, .stl).
@@ -51,6 +60,8 @@ pub struct Args {
     /// Threads; the surface does not depend on them. Default: all cores.
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
+    #[command(flatten)]
+    live: LiveArgs,
 }
 
 /// Runs the command.
@@ -68,6 +79,7 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
         threads: args.threads,
         ..Options::default()
     };
+    outputs::check_folder(&args.out)?;
     std::fs::create_dir_all(&args.out)
         .with_context(|| {
             format!(
@@ -80,30 +92,52 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
     let told = Arc::clone(&stop);
     ctrlc::set_handler(move || told.store(true, Ordering::Relaxed))
         .map_err(|e| device(e.into()))?;
-    let show = common.verbose > 0 || std::io::stderr().is_terminal();
-    if show {
-        eprintln!("planning tracks over the {} …", args.object);
-    }
+    let shipped = [("hand.urdf".to_owned(), Hand::THREE_FINGER_URDF.to_owned())];
+    let names: Vec<String> = Hand::from_sources(&shipped)
+        .map_err(|e| device(e.into()))?
+        .fingers()
+        .iter()
+        .take(args.fingers)
+        .map(|finger| finger.name.clone())
+        .collect();
+    let line = PhaseLine::new(common);
+    line.note(&format!("planning tracks over the {} …", args.object));
+    let watch = Watch::start(&args.live, &names, &shipped, &stop)?;
+    line.hide(watch.as_ref().is_some_and(Watch::on_screen));
+    let watch = Mutex::new(watch);
     let result = demo(
         &hand,
         &args.out.join("run.mcap"),
         &options,
         &stop,
         &|step| {
-            if show {
-                tell(&step);
+            let mut watch = watch.lock().unwrap_or_else(PoisonError::into_inner);
+            match step {
+                Step::Capture(event) => {
+                    let on_screen = watch.as_ref().is_some_and(|watch| watch.show(event));
+                    if !on_screen {
+                        tell(event, args.contacts, &line);
+                    }
+                }
+                Step::Reconstruct(progress) => {
+                    if let Some(watch) = watch.take() {
+                        watch.end("all gone over");
+                        line.hide(false);
+                    }
+                    line.show(progress);
+                }
             }
         },
-    )
-    .map_err(|e| device(e.into()))?;
-    if show {
-        eprintln!("\nwriting {} …", args.out.display());
-    }
+    );
+    drop(watch);
+    let result = result.map_err(|e| device(e.into()))?;
+    line.say(format!("writing {}", args.out.display()));
     write(&args, &result).map_err(|e| Failure::new(Exit::Input, e))?;
+    drop(line);
     if common.json {
-        println!("{}", json(&args, &result));
+        say::out(&format!("{}\n", json(&args, &result)));
     } else {
-        print!("{}", super::table::demo(&args.object, &args.out, &result));
+        say::out(&super::table::demo(&args.object, &args.out, &result));
     }
     Ok(if stop.load(Ordering::Relaxed) {
         Exit::Interrupted
@@ -112,29 +146,30 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
     })
 }
 
-fn tell(step: &Step<'_>) {
-    match step {
-        Step::Capture(CaptureEvent::Found {
+/// What the capture tells, in lines; how far it is, in the line that lives.
+fn tell(event: &CaptureEvent<'_>, contacts: usize, line: &PhaseLine) {
+    match event {
+        CaptureEvent::Found {
             finger,
             port,
             identity,
-        }) => eprintln!(
+        } => line.note(&format!(
             "{finger}: board `{}` on {port}, {} Hz",
             identity.finger_name,
             1_000_000 / identity.period_us.max(1)
-        ),
-        Step::Capture(CaptureEvent::Progress(progress)) => {
-            let valid: u64 = progress.fingers.iter().map(|(_, s)| s.valid).sum();
-            eprint!(
-                "\rtouching: {:5.1} s, {valid} valid contacts ",
-                progress.elapsed.as_secs_f64()
-            );
+        )),
+        CaptureEvent::Progress(progress) => {
+            let seconds = progress.elapsed.as_secs_f64();
+            let rate = progress.points as f64 / seconds.max(0.1);
+            // The fingers touch the asked number of times on their way, and some more where they turn.
+            let left = (contacts as f64 - progress.points as f64).max(0.0) / rate.max(1.0);
+            line.live(format!(
+                "touching: {} valid contacts, {rate:.0} a second, about {left:.0} s left",
+                progress.points
+            ));
         }
-        Step::Capture(CaptureEvent::Note { finger, text, .. }) => eprintln!("{finger}: {text}"),
-        Step::Reconstruct(Progress::Phase(name)) => eprint!("\n{name} …"),
-        Step::Reconstruct(Progress::Level(level, patches)) => {
-            eprint!(" level {level}: {patches} patches");
-        }
+        CaptureEvent::Note { finger, text, .. } => line.note(&format!("{finger}: {text}")),
+        CaptureEvent::Touches(_) => {}
     }
 }
 
@@ -171,6 +206,8 @@ fn write(args: &Args, result: &Demo) -> anyhow::Result<()> {
         file: &file,
         report: Some(report),
         cloud: Some(&result.cloud),
+        extracted: Some(&result.reconstruction.extracted),
+        simplified: result.reconstruction.simplified.as_ref(),
     };
     write_bytes(&at("report.html"), page.html()?.as_bytes())?;
     let figures = FigureOptions {

@@ -7,6 +7,10 @@ use std::path::PathBuf;
 
 /// Compare a surface or mesh with a reference: distances both ways, normals, topology.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  palpus evaluate surface.json --against truth.stl
+  palpus evaluate surface.json --against points.ply --json")]
 pub struct Args {
     /// Surface file (.json) or mesh (.ply, .obj, .stl).
     pub shape: PathBuf,

@@ -4,9 +4,15 @@ pub mod board;
 pub mod capture;
 pub mod demo;
 pub mod evaluate;
+pub mod live;
+pub mod manual;
+mod outputs;
 pub mod points;
+mod progress;
 pub mod reconstruct;
 pub mod report;
+pub mod say;
+mod screen;
 pub mod simulate;
 mod table;
 

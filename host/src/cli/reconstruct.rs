@@ -1,116 +1,160 @@
 //! `palpus reconstruct`: points with normals in, a smooth surface out.
 
-use super::{Common, Exit, Failure};
+use super::progress::PhaseLine;
+use super::{Common, Exit, Failure, outputs, say};
 use anyhow::{Context, anyhow};
 use palpus_host::cloud::{self, Cloud};
 use palpus_host::export::surface_file::Provenance;
 use palpus_host::export::{
     MeshFormat, Origin, SurfaceFile, sampled_from_mesh, step, write_bytes, write_mesh,
 };
-use palpus_host::picture::{FigureOptions, Stages, View};
+use palpus_host::picture::{FigureOptions, Page, Stages, View};
 use palpus_host::reconstruct::creases::CreaseOptions;
 use palpus_host::reconstruct::extract;
 use palpus_host::reconstruct::fit::NormalTerm;
-use palpus_host::reconstruct::{
-    Options, Progress, ReconstructError, Reconstruction, Stage, reconstruct,
-};
+use palpus_host::reconstruct::{Options, ReconstructError, Reconstruction, Stage, reconstruct};
 use palpus_host::run::points::points;
 use palpus_host::spline::{SampledSurface, Surface};
 use std::borrow::Cow;
 use std::fs::File;
-use std::io::{IsTerminal, Read, Write as _};
+use std::io::Read;
 use std::path::PathBuf;
+
+const EXAMPLES: &str = "\
+Examples:
+  palpus reconstruct points.ply -o surface.json --page surface.html
+      a surface, and a page to look at it
+  palpus reconstruct run.mcap -o surface.json --mesh part.stl --step part.step
+      from a captured run to a printer and to CAD
+  palpus reconstruct points.ply --tolerance 0.05 --strict --json
+      figures only; leaves with code 4 if a point lies farther off than 0.05
+  palpus reconstruct points.ply --figures figures --turntable --view 30,20
+      pictures of all stages, and a turn around the surface";
 
 /// Reconstruct a surface from points with normals.
 #[derive(clap::Args, Debug)]
+#[command(after_help = EXAMPLES)]
 pub struct Args {
     /// Runs (.mcap) or point files with normals (.ply, .xyz, .csv, .pcd); several are joined.
     #[arg(required = true)]
     input: Vec<PathBuf>,
     /// Surface file to write (.json).
-    #[arg(short, long)]
+    #[arg(short, long, help_heading = "Outputs")]
     output: Option<PathBuf>,
     /// Largest distance of a point from the surface, in the unit of the input.
     /// Default: 1e-3 of the bounding box's diagonal, or three times the noise found, whichever is larger.
-    #[arg(long, value_name = "E")]
+    #[arg(long, help_heading = "How close", value_name = "E")]
     tolerance: Option<f64>,
     /// Weight of the normals relative to the positions. Default: from the noise of both.
-    #[arg(long, value_name = "L")]
+    #[arg(long, help_heading = "How close", value_name = "L")]
     lambda: Option<f64>,
     /// How the measured normal enters the fit.
-    #[arg(long, value_enum, default_value_t = Term::ParameterFree)]
+    #[arg(long, help_heading = "How close", value_enum, default_value_t = Term::ParameterFree)]
     normal_term: Term,
     /// Bring curvature across the patches' edges together (a network has it continuous only nearly). Optional weight:
     /// more is fairer and farther from the points.
     #[arg(long, value_name = "W", default_value_t = 0.0, num_args = 0..=1, default_missing_value = "1")]
     fair_curvature: f64,
     /// Most patches.
-    #[arg(long, value_name = "N", default_value_t = 20_000)]
+    #[arg(
+        long,
+        help_heading = "How close",
+        value_name = "N",
+        default_value_t = 20_000
+    )]
     max_patches: usize,
     /// Rounds of fit and reparameterisation per level.
-    #[arg(long, value_name = "N", default_value_t = 4)]
+    #[arg(
+        long,
+        help_heading = "How close",
+        value_name = "N",
+        default_value_t = 4
+    )]
     rounds: usize,
     /// Mesh to write, by extension .ply, .obj, .stl or .glb; may be given several times.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Meshes", value_name = "FILE")]
     mesh: Vec<PathBuf>,
     /// Edge length of the meshes' triangles, in the unit of the input.
-    #[arg(long, value_name = "H", conflicts_with = "mesh_per_patch")]
+    #[arg(
+        long,
+        help_heading = "Meshes",
+        value_name = "H",
+        conflicts_with = "mesh_per_patch"
+    )]
     mesh_step: Option<f64>,
     /// Cut each patch edge in so many segments. Default: as many as give about 100 000 triangles, 6 to 40.
-    #[arg(long, value_name = "K")]
+    #[arg(long, help_heading = "Meshes", value_name = "K")]
     mesh_per_patch: Option<usize>,
     /// Cut the triangles as coarsely as a chord error of this much allows, in the unit of the input.
-    #[arg(long, value_name = "E", conflicts_with_all = ["mesh_step", "mesh_per_patch"])]
+    #[arg(long, help_heading = "Meshes", value_name = "E", conflicts_with_all = ["mesh_step", "mesh_per_patch"])]
     mesh_chord: Option<f64>,
     /// Write mean and Gaussian curvature to .ply and .glb, and colour them by the mean curvature.
-    #[arg(long)]
+    #[arg(long, help_heading = "Meshes")]
     mesh_curvature: bool,
     /// Largest gap between contacts that is closed, in the unit of the input; wider ones stay open with a clean
     /// border. Default: from the data, with the reason in the report.
-    #[arg(long, value_name = "GAP")]
+    #[arg(long, help_heading = "What surface", value_name = "GAP")]
     max_gap: Option<f64>,
     /// What kind of surface: a network of patches over any shape, or one chart over a disk-like region, smooth
     /// in curvature everywhere from degree 3.
-    #[arg(long, value_enum, default_value_t = Kind::Network)]
+    #[arg(long, help_heading = "What surface", value_enum, default_value_t = Kind::Network)]
     surface: Kind,
     /// Degree of the chart, 2 to 5; it is continuously differentiable one time less.
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(2..=5))]
+    #[arg(long, help_heading = "What surface", value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(2..=5))]
     degree: u8,
     /// Make everything smooth: look for no creases.
-    #[arg(long)]
+    #[arg(long, help_heading = "What surface")]
     no_creases: bool,
     /// Most memory phase 1 may take, in MB.
-    #[arg(long, value_name = "MB", default_value_t = 2048)]
+    #[arg(
+        long,
+        help_heading = "Running",
+        value_name = "MB",
+        default_value_t = 2048
+    )]
     max_memory: usize,
     /// CAD file to write (.step): the patches themselves, without approximation.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Outputs", value_name = "FILE")]
     step: Option<PathBuf>,
     /// Report to write (.json).
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = "Outputs", value_name = "FILE")]
     report: Option<PathBuf>,
     /// Folder for pictures of every stage (.png); made if need be.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = "Outputs", value_name = "DIR")]
     figures: Option<PathBuf>,
     /// Where the pictures are taken from: azimuth,elevation in degrees.
-    #[arg(long, value_name = "A,E", allow_hyphen_values = true)]
+    #[arg(
+        long,
+        help_heading = "Outputs",
+        value_name = "A,E",
+        allow_hyphen_values = true,
+        requires = "figures"
+    )]
     view: Option<View>,
+    /// Also draw a turn around the surface, of so many pictures, as an animated PNG (turntable.png).
+    #[arg(long, help_heading = "Outputs", value_name = "N", num_args = 0..=1, default_missing_value = "36", requires = "figures",
+          value_parser = clap::value_parser!(u16).range(2..=360))]
+    turntable: Option<u16>,
+    /// Page to write (.html): the surface in the browser with the meshes, points and figures of all stages.
+    #[arg(long, help_heading = "Outputs", value_name = "FILE")]
+    page: Option<PathBuf>,
     /// How the field of phase 1 is made.
-    #[arg(long, value_enum, default_value_t = FieldMethod::Hermite)]
+    #[arg(long, help_heading = "What surface", value_enum, default_value_t = FieldMethod::Hermite)]
     field: FieldMethod,
     /// Unit of the input's lengths (mm, cm, m, in); kept in the files that can say it.
-    #[arg(long, value_name = "UNIT")]
+    #[arg(long, help_heading = "Outputs", value_name = "UNIT")]
     units: Option<String>,
     /// Threads; the result does not depend on them. Default: all cores.
-    #[arg(long, value_name = "N")]
+    #[arg(long, help_heading = "Running", value_name = "N")]
     threads: Option<usize>,
     /// Seed; kept in the surface file. Nothing in the reconstruction is random.
-    #[arg(long, value_name = "S", default_value_t = 0)]
+    #[arg(long, help_heading = "Running", value_name = "S", default_value_t = 0)]
     seed: u64,
     /// Stop after this phase and write what there is.
-    #[arg(long, value_enum)]
+    #[arg(long, help_heading = "Running", value_enum)]
     stop_after: Option<StopAfter>,
     /// Leave with code 4 if the tolerance is not met.
-    #[arg(long)]
+    #[arg(long, help_heading = "Running")]
     strict: bool,
 }
 
@@ -152,7 +196,6 @@ enum StopAfter {
 pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
     check_outputs(args)?;
     let cloud = read(&args.input)?;
-    let show = common.verbose > 0 || std::io::stderr().is_terminal();
     let options = Options {
         tolerance: args.tolerance,
         lambda: args.lambda,
@@ -177,32 +220,26 @@ pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
             },
             max_gap: args.max_gap,
             max_memory: args.max_memory.saturating_mul(1 << 20),
-            announce: if show { announce } else { |_| {} },
+            // With -v only: the line that lives has the terminal.
+            announce: if common.verbose > 0 { announce } else { |_| {} },
             ..extract::Options::default()
         },
         chart: (args.surface == Kind::Chart).then_some(usize::from(args.degree)),
         creases: (!args.no_creases).then(CreaseOptions::default),
         ..Options::default()
     };
-    let result = reconstruct(&cloud, &options, &|progress| {
-        if show {
-            match progress {
-                Progress::Phase(name) => eprintln!("{name} …"),
-                Progress::Level(level, patches) => {
-                    eprintln!("  level {level}: {patches} patches");
-                }
-            }
-        }
-    })
-    .map_err(|e| Failure::new(exit_of(&e), e))?;
+    let line = PhaseLine::new(common);
+    let result = reconstruct(&cloud, &options, &|progress| line.show(progress))
+        .map_err(|e| Failure::new(exit_of(&e), e))?;
+    line.say("writing".to_owned());
     write(args, &cloud, &result)?;
+    drop(line);
     let text = if common.json {
         result.report.to_json()
     } else {
         super::table::report(&result.report)
     };
-    // A reader that has gone away (a closed pipe) is no fault of the reconstruction.
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    say::out(&text);
     let met = result.report.error.as_ref().is_none_or(|e| e.met);
     Ok(if args.strict && !met {
         Exit::Tolerance
@@ -212,12 +249,12 @@ pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
 }
 
 fn announce(lattice: extract::Estimate) {
-    eprintln!(
+    say::err(&format!(
         "  lattice of about {} cubes, {:.1} MB of at most {}",
         lattice.cubes,
         lattice.bytes as f64 / f64::from(1 << 20),
         lattice.limit >> 20
-    );
+    ));
 }
 
 /// Which code a failed reconstruction leaves with.
@@ -253,7 +290,18 @@ fn check_outputs(args: &Args) -> Result<(), Failure> {
             return usage(error.into());
         }
     }
-    Ok(())
+    if args.page.is_some() && args.surface == Kind::Chart {
+        return usage(anyhow!(
+            "--page shows networks; leave out --surface chart, or look at it by --mesh or --figures"
+        ));
+    }
+    let files = [&args.output, &args.step, &args.report, &args.page];
+    for path in files.into_iter().flatten().chain(&args.mesh) {
+        outputs::check_file(path)?;
+    }
+    args.figures
+        .as_deref()
+        .map_or(Ok(()), outputs::check_folder)
 }
 
 /// First bytes of a run.
@@ -283,7 +331,9 @@ pub fn read(inputs: &[PathBuf]) -> Result<Cloud, Failure> {
 fn write(args: &Args, cloud: &Cloud, result: &Reconstruction) -> Result<(), Failure> {
     let input = |e: anyhow::Error| Failure::new(Exit::Input, e);
     let surface = final_surface(args, result)?;
-    if let (Some(path), true) = (&args.output, surface.is_some() || result.chart.is_some()) {
+    if (args.output.is_some() || args.page.is_some())
+        && (surface.is_some() || result.chart.is_some())
+    {
         let file = SurfaceFile {
             surface: result.surface.clone().unwrap_or_default(),
             chart: result.chart.clone(),
@@ -291,7 +341,23 @@ fn write(args: &Args, cloud: &Cloud, result: &Reconstruction) -> Result<(), Fail
             provenance: provenance(args).map_err(input)?,
             error: result.report.error.clone(),
         };
-        file.write(path).map_err(|e| input(e.into()))?;
+        if let Some(path) = &args.output {
+            file.write(path).map_err(|e| input(e.into()))?;
+        }
+        if let Some(path) = &args.page {
+            let title = args.output.as_ref().or(args.input.first());
+            let title = title.and_then(|path| path.file_stem());
+            let page = Page {
+                title: &title.unwrap_or_default().to_string_lossy(),
+                file: &file,
+                report: Some(&result.report),
+                cloud: Some(cloud),
+                extracted: Some(&result.extracted),
+                simplified: result.simplified.as_ref(),
+            };
+            let html = page.html().map_err(|e| input(e.into()))?;
+            write_bytes(path, html.as_bytes()).map_err(|e| input(e.into()))?;
+        }
     }
     if let (Some(path), Some(surface)) = (&args.step, &surface) {
         step::write(path, surface, args.units.as_deref()).map_err(|e| input(e.into()))?;
@@ -300,6 +366,7 @@ fn write(args: &Args, cloud: &Cloud, result: &Reconstruction) -> Result<(), Fail
         let figures = FigureOptions {
             view: args.view.unwrap_or_default(),
             unit: args.units.clone().unwrap_or_default(),
+            turntable_frames: args.turntable.map_or(0, usize::from),
             ..FigureOptions::default()
         };
         Stages {
@@ -406,6 +473,21 @@ fn provenance(args: &Args) -> anyhow::Result<Provenance> {
     }
     put("max-patches", args.max_patches.into());
     put("rounds", args.rounds.into());
+    put("max-gap", args.max_gap.into());
+    put("units", args.units.clone().into());
+    if args.normal_term == Term::FaceFrame {
+        put("normal-term", "face-frame".into());
+    }
+    if args.field == FieldMethod::TangentPlanes {
+        put("field", "tangent-planes".into());
+    }
+    if args.no_creases {
+        put("no-creases", true.into());
+    }
+    match args.stop_after {
+        Some(StopAfter::Fit) => put("stop-after", "fit".into()),
+        Some(StopAfter::Extract | StopAfter::Simplify) | None => {}
+    }
     if args.surface == Kind::Chart {
         put("surface", "chart".into());
         put("degree", args.degree.into());

@@ -1,38 +1,55 @@
 //! `palpus report`: one self-contained page to look at a surface.
 
-use super::{Common, Exit, Failure};
+use super::reconstruct::read;
+use super::{Common, Exit, Failure, outputs, say};
 use anyhow::Context;
-use palpus_host::cloud;
 use palpus_host::export::SurfaceFile;
+use palpus_host::import::read_mesh;
 use palpus_host::picture::Page;
 use palpus_host::report::Report;
-use std::io::Write;
 use std::path::PathBuf;
 
 /// Make one self-contained HTML page to look at a surface, without network.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  palpus report surface.json -o surface.html
+      the surface alone
+  palpus report surface.json -o surface.html --points run.mcap --report report.json
+      with the contacts, their tracks by finger, and the figures of all phases
+(`palpus reconstruct --page` writes the whole page at once.)")]
 pub struct Args {
     /// Surface file that `reconstruct` wrote.
     pub surface: PathBuf,
     /// Where the page goes.
     #[arg(short, long, value_name = "FILE.html")]
     pub output: PathBuf,
-    /// Points to show with their distances (.ply, .xyz, .csv, .pcd); several are joined.
+    /// Points to show with their distances: runs (.mcap) or point files (.ply, .xyz, .csv, .pcd); several are joined.
     #[arg(long, value_name = "FILE")]
     pub points: Vec<PathBuf>,
     /// Figures of the reconstruction, as `reconstruct --report` wrote them.
     #[arg(long, value_name = "FILE.json")]
     pub report: Option<PathBuf>,
+    /// Triangles of phase 1 to show, as `reconstruct --stop-after extract --mesh` wrote them.
+    #[arg(long, value_name = "MESH")]
+    pub extracted: Option<PathBuf>,
+    /// Triangles of phase 2 to show, as `reconstruct --stop-after simplify --mesh` wrote them.
+    #[arg(long, value_name = "MESH")]
+    pub simplified: Option<PathBuf>,
 }
 
 /// Reads, lays out, writes.
 pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
     let refused = |error: anyhow::Error| Failure::new(Exit::Input, error);
+    outputs::check_file(&args.output)?;
+    let mesh = |path: &Option<PathBuf>| path.as_ref().map(|p| read_mesh(p)).transpose();
+    let extracted = mesh(&args.extracted).map_err(|e| refused(e.into()))?;
+    let simplified = mesh(&args.simplified).map_err(|e| refused(e.into()))?;
     let file = SurfaceFile::read(&args.surface).map_err(|e| refused(e.into()))?;
     let cloud = if args.points.is_empty() {
         None
     } else {
-        Some(cloud::read_all(&args.points).map_err(|e| refused(e.into()))?)
+        Some(read(&args.points)?)
     };
     let report = args.report.as_ref().map(|path| -> anyhow::Result<Report> {
         let name = path.display();
@@ -51,6 +68,8 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
         file: &file,
         report: report.as_ref(),
         cloud: cloud.as_ref(),
+        extracted: extracted.as_ref(),
+        simplified: simplified.as_ref(),
     };
     let html = page.html().map_err(|e| refused(e.into()))?;
     std::fs::write(&args.output, &html)
@@ -61,23 +80,20 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
             )
         })
         .map_err(refused)?;
-    // A reader that has gone away (a closed pipe) is no fault of the page.
-    let mut out = std::io::stdout().lock();
-    if common.json {
+    say::out(&if common.json {
         let answer = serde_json::json!({
             "file": args.output.display().to_string(),
             "bytes": html.len(),
             "patches": file.surface.faces.len(),
             "points": cloud.map_or(0, |cloud| cloud.points.len()),
         });
-        let _ = writeln!(out, "{answer}");
+        format!("{answer}\n")
     } else {
-        let _ = writeln!(
-            out,
-            "{} ({:.1} MB): open it in a browser",
+        format!(
+            "{} ({:.1} MB): open it in a browser\n",
             args.output.display(),
             html.len() as f64 / 1e6
-        );
-    }
+        )
+    });
     Ok(Exit::Done)
 }

@@ -1,6 +1,6 @@
 //! `palpus simulate`: a simulated hand on pseudo-terminals, or its tracks alone as a point file.
 
-use super::{Common, Exit, Failure};
+use super::{Common, Exit, Failure, outputs, say};
 use anyhow::{Context, anyhow};
 use palpus_host::cloud::write_ply;
 use palpus_host::export::{sampled_from_mesh, write_bytes, write_mesh};
@@ -18,6 +18,14 @@ const MESH_SIDE_MM: f64 = 150.0;
 
 /// Arguments of `palpus simulate`.
 #[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  palpus simulate --object torus --write-hand hand.urdf
+      boards on pseudo-terminals, until Ctrl-C; prints how to capture them
+  palpus simulate --object mug --points 1229 --seed 1 -o mug.ply
+      the tracks alone, as a point file
+  palpus simulate --object mug --points 1229 --position-noise 0.5 --normal-noise 3 -o noisy.ply --truth mug.stl
+      with noise, and the true shape to evaluate against")]
 pub struct Args {
     /// What to touch: sphere, ellipsoid, torus, two-holed-torus, mug, bowl, bean, trilobe, cube, cylinder, or a
     /// closed mesh file (.ply, .obj, .stl).
@@ -133,6 +141,12 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
             return Err(Failure::new(Exit::Usage, error));
         }
     }
+    for path in [&args.output, &args.truth, &args.write_hand]
+        .into_iter()
+        .flatten()
+    {
+        outputs::check_file(path)?;
+    }
     let object = object(&args.object, args.size)?;
     if let Some(path) = &args.truth {
         let mut mesh = object.truth_mesh();
@@ -160,10 +174,8 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
                 .map_err(|e| Failure::new(Exit::Usage, e))?;
             write_bytes(output, &bytes).map_err(|e| Failure::new(Exit::Usage, e))?;
             if common.json {
-                println!(
-                    "{}",
-                    serde_json::json!({ "object": object.name(), "points": cloud.points.len(), "file": output })
-                );
+                let value = serde_json::json!({ "object": object.name(), "points": cloud.points.len(), "file": output });
+                say::out(&format!("{value}\n"));
             }
             Ok(Exit::Done)
         }
@@ -236,18 +248,16 @@ fn print_ports(common: &Common, args: &Args, hand: &SimulatedHand) {
             .iter()
             .map(|p| serde_json::json!({ "finger": p.finger, "port": p.port }))
             .collect();
-        println!(
-            "{}",
-            serde_json::json!({
-                "object": args.object, "fingers": fingers, "hand": args.write_hand,
-                "touchable": hand.touchable(), "unreachable": hand.unreachable(),
-                "slide_mm_per_s": hand.slide_mm_per_s(),
-            })
-        );
+        let value = serde_json::json!({
+            "object": args.object, "fingers": fingers, "hand": args.write_hand,
+            "touchable": hand.touchable(), "unreachable": hand.unreachable(),
+            "slide_mm_per_s": hand.slide_mm_per_s(),
+        });
+        say::out(&format!("{value}\n"));
         return;
     }
     for port in hand.ports() {
-        println!("{}={}", port.finger, port.port.display());
+        say::out(&format!("{}={}\n", port.finger, port.port.display()));
     }
     if std::io::stderr().is_terminal() || common.verbose > 0 {
         let file = args
@@ -259,15 +269,15 @@ fn print_ports(common: &Common, args: &Args, hand: &SimulatedHand) {
             .iter()
             .map(|p| format!(" --finger {}={}", p.finger, p.port.display()))
             .collect();
-        eprintln!(
+        say::err(&format!(
             "{:.1} % of the surface can be touched, {:.1} % of that is out of reach; sliding at {:.0} mm/s.\n\
              Record it with:\n  palpus capture{fingers} --hand {file} -o RUN.mcap\nStop with Ctrl-C.",
             100.0 * hand.touchable(),
             100.0 * hand.unreachable(),
             hand.slide_mm_per_s(),
-        );
+        ));
         if args.write_hand.is_none() {
-            eprintln!("(--write-hand HAND.urdf writes the hand's description.)");
+            say::err("(--write-hand HAND.urdf writes the hand's description.)");
         }
     }
 }
@@ -284,6 +294,39 @@ pub fn noise(text: &str) -> Result<Noise, String> {
     }
 }
 
+/// The known name that is most like `name`, if any is: at most a third of its letters have to be changed.
+fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
+    let apart = |a: &str, b: &str| {
+        let b: Vec<char> = b.chars().collect();
+        let mut row: Vec<usize> = (0..=b.len()).collect();
+        let mut before: Vec<usize> = Vec::new();
+        let mut last = None;
+        for (i, x) in a.chars().enumerate() {
+            let mut next = vec![i + 1];
+            for (j, y) in b.iter().enumerate() {
+                let mut cost = (row[j] + usize::from(x != *y))
+                    .min(row[j + 1] + 1)
+                    .min(next[j] + 1);
+                // Two neighbours in the wrong order are one slip.
+                if j > 0 && last == Some(*y) && b[j - 1] == x {
+                    cost = cost.min(before[j - 1] + 1);
+                }
+                next.push(cost);
+            }
+            last = Some(x);
+            before = std::mem::replace(&mut row, next);
+        }
+        row[b.len()]
+    };
+    let name = name.to_lowercase();
+    known
+        .iter()
+        .map(|known| (apart(&name, known), *known))
+        .filter(|(apart, known)| 3 * apart <= known.len().max(3))
+        .min()
+        .map(|(_, known)| known)
+}
+
 /// The object of that name, or of that file.
 pub fn object(name: &str, size_mm: Option<f64>) -> Result<Object, Failure> {
     let refused = |e: anyhow::Error| Failure::new(Exit::Input, e);
@@ -297,9 +340,33 @@ pub fn object(name: &str, size_mm: Option<f64>) -> Result<Object, Failure> {
     let path = PathBuf::from(name);
     if !path.exists() {
         // The message lists the names there are.
-        return Object::named(name).map_err(|e| Failure::new(Exit::Usage, e));
+        return Object::named(name).map_err(|e| {
+            let near = nearest(name, &Object::NAMES);
+            let hint = near.map_or(String::new(), |near| format!("; did you mean `{near}`?"));
+            Failure::new(Exit::Usage, anyhow!("{e}{hint}"))
+        });
     }
     let mesh = read_mesh(&path).map_err(|e| refused(e.into()))?;
     Object::from_mesh(name, &mesh, Some(size_mm.unwrap_or(MESH_SIDE_MM)))
         .map_err(|e| refused(e.into()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slips_find_the_name_that_was_meant() {
+        for (slip, meant) in [
+            ("torsu", Some("torus")),
+            ("Mug", Some("mug")),
+            ("spere", Some("sphere")),
+            ("two-holed-tours", Some("two-holed-torus")),
+            ("cylnder", Some("cylinder")),
+            ("teapot", None),
+            ("", None),
+        ] {
+            assert_eq!(nearest(slip, &Object::NAMES), meant, "{slip}");
+        }
+    }
 }
