@@ -1,6 +1,7 @@
 //! Shared fixtures of the whole-program tests.
 
 pub mod bench_board;
+pub mod browser;
 pub mod emulator;
 pub mod fault_line;
 pub mod fuzz;
@@ -9,3 +10,4 @@ pub mod outcome;
 pub mod patches;
 pub mod program;
 pub mod python;
+pub mod script;

@@ -1,5 +1,6 @@
 //! Runs the checkers in `tests/python`, which need packages that `tests/setup` installs.
 
+use crate::script;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -17,20 +18,8 @@ pub fn run(script: &str, arguments: &[&Path]) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("python")
         .join(script);
-    let out = Command::new(interpreter())
-        .arg(path)
-        .args(arguments)
-        .output();
-    let out =
-        out.unwrap_or_else(|e| panic!("no Python with the tests' packages ({e}): run tests/setup"));
-    let (stdout, stderr) = (
-        String::from_utf8_lossy(&out.stdout),
-        String::from_utf8_lossy(&out.stderr),
-    );
-    assert!(
-        out.status.success(),
-        "{script}: {}\n{stdout}{stderr}",
-        out.status
-    );
-    stdout.into_owned()
+    script::run(
+        Command::new(interpreter()).arg(path).args(arguments),
+        "Python with the tests' packages",
+    )
 }

@@ -1,0 +1,98 @@
+// Opens a report page as a person does: clicks through all layers, picks a point and a place, turns it by keyboard, looks
+// at it in the dark, on a phone and on paper. Prints what it saw as JSON.
+//
+//   check_report.js PAGE.html [FOLDER FOR SCREENSHOTS]
+const assert = require("assert");
+const path = require("path");
+const { check } = require("./browser.js");
+
+const [file, folder] = process.argv.slice(2);
+
+check(async (page) => {
+  const shot = (name, whole) => (folder ? page.screenshot(path.join(folder, `${name}.png`), whole) : null);
+  await page.size(1280, 900);
+  await page.open("file://" + path.resolve(file));
+  assert.equal(await page.evaluate("document.getElementById('poster')"), null, "drawn by WebGL, not the still picture");
+  await page.frame();
+  const seen = { layers: [], title: await page.evaluate("document.title") };
+  await shot("light", true);
+
+  // Every layer changes the picture, and back.
+  const inputs = await page.evaluate("[...document.querySelectorAll('#layers input')].map((i) => ({ kind: i.type, group: i.name, name: i.value, on: i.checked }))");
+  for (const group of ["body", "surface", "points"]) {
+    const all = inputs.filter((i) => i.group === group);
+    const first = all.find((i) => i.on);
+    const sums = new Set();
+    for (const input of [...all.filter((i) => !i.on), first]) {
+      await page.clickOn(`#layers input[name="${group}"][value="${input.name}"]`);
+      await page.frame();
+      const { count, sum } = await page.drawn();
+      assert(count > 1000 || input.name === "nothing", `${input.name}: ${count} pixels`);
+      sums.add(sum);
+      seen.layers.push(input.name);
+      if (input !== first) await shot(`${group}-${input.name.replace(/[^a-z0-9]+/gi, "-")}`);
+    }
+    assert.equal(sums.size, all.length, `every choice of ${group} looks different`);
+  }
+  for (const input of inputs.filter((i) => i.kind === "checkbox")) {
+    const before = await page.drawn();
+    await page.clickOn(`#layers input[value="${input.name}"]`);
+    await page.frame();
+    assert.notEqual((await page.drawn()).sum, before.sum, `${input.name} changes the picture`);
+    seen.layers.push(input.name);
+    if (!input.on) await shot(`layer-${input.name.replace(/[^a-z0-9]+/gi, "-")}`);
+    await page.clickOn(`#layers input[value="${input.name}"]`);
+    await page.frame();
+    assert.equal((await page.drawn()).sum, before.sum, `${input.name} can be undone`);
+  }
+
+  // A point says its values, a place its own.
+  const rect = await page.evaluate("(() => { const v = document.getElementById('view'); v.scrollIntoView({ block: 'center' }); const r = v.getBoundingClientRect(); return [r.x, r.y, r.width, r.height]; })()");
+  const count = await page.evaluate("+document.getElementById('view').dataset.points");
+  const picked = () => page.evaluate("document.getElementById('picked').hidden ? '' : document.getElementById('picked').textContent");
+  if (count) {
+    // The nearest point is in front of the surface.
+    const at = await page.evaluate(`(() => { const v = document.getElementById('view'); let best = null; for (let i = 0; i < ${count}; i++) { const p = v.seen(i); if (!best || p.depth < best.depth) best = { ...p, i }; } return best; })()`);
+    await page.click(rect[0] + at.x, rect[1] + at.y);
+    seen.point = await picked();
+    assert.match(seen.point, /^Point \d+ at .*\ndistance to the surface [\d.e-]+.*\nangle between normals [\d.e-]+°/);
+  }
+  await page.clickOn("#layers input[name=points][value=hidden]").catch(() => {});
+  const places = [[0.5, 0.35], [0.35, 0.5], [0.5, 0.5], [0.65, 0.5], [0.5, 0.65]];
+  await page.evaluate("document.getElementById('view').scrollIntoView({ block: 'center' })");
+  for (const [x, y] of places) {
+    await page.click(rect[0] + x * rect[2], rect[1] + y * rect[3]);
+    if ((seen.place = await picked()).startsWith("Patch")) break;
+  }
+  assert.match(seen.place, /^Patch \d+ at .*\nnormal [-\d., ]+\n[\s\S]*mean curvature/);
+  await shot("picked");
+
+  // Keyboard.
+  const before = await page.drawn();
+  await page.evaluate("document.getElementById('view').focus()");
+  for (const key of ["ArrowLeft", "ArrowUp", "+"]) await page.key(key);
+  await page.frame();
+  assert.notEqual((await page.drawn()).sum, before.sum, "keys turn it");
+  await page.key("0");
+  await page.frame();
+  assert.equal((await page.drawn()).sum, before.sum, "0 brings it back");
+
+  // Dark, phone, paper: nothing sticks out sideways.
+  const fits = () => page.evaluate("document.documentElement.scrollWidth <= innerWidth + 1");
+  await page.size(1280, 900, { dark: true });
+  await page.frame();
+  await shot("dark", true);
+  assert(await fits());
+  await page.clickOn("#theme");
+  assert.equal(await page.evaluate("document.documentElement.dataset.theme"), "light");
+  await page.evaluate("delete document.documentElement.dataset.theme");
+  await page.size(390, 844, { phone: true });
+  await page.frame();
+  await shot("phone", true);
+  assert(await fits(), "fits a phone");
+  await page.size(794, 1123, { media: "print" });
+  await page.frame();
+  await shot("print", true);
+  assert.deepEqual(page.errors, []);
+  return seen;
+});
