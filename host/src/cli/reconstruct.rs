@@ -53,7 +53,7 @@ pub struct Args {
     normal_term: Term,
     /// Bring curvature across the patches' edges together (a network has it continuous only nearly). Optional weight:
     /// more is fairer and farther from the points.
-    #[arg(long, value_name = "W", default_value_t = 0.0, num_args = 0..=1, default_missing_value = "1")]
+    #[arg(long, help_heading = "What surface", value_name = "W", default_value_t = 0.0, num_args = 0..=1, default_missing_value = "1")]
     fair_curvature: f64,
     /// Most patches.
     #[arg(
