@@ -12,7 +12,7 @@
 //! those that read and write contacts, and only appends under a lock that no viewer holds while it sends. There are
 //! no queues to viewers: each has a thread that knows what it has sent and takes what is new when the last
 //! message has gone out. A slow browser so gets larger strides and misses states in between, never contacts; one that
-//! takes nothing for [`server::PATIENCE`] is let go and may come back. Two ways were weighed: WebSockets (two
+//! takes nothing for [`PATIENCE`] is let go and may come back. Two ways were weighed: WebSockets (two
 //! ways, but a handshake with a hash and framing of their own, for a page that only looks) and server-sent events
 //! (plain HTTP, and browsers reconnect by themselves); so the latter.
 //!
