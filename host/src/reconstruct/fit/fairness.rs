@@ -73,7 +73,7 @@ static EDGES: LazyLock<[[Place; PLACES]; 3]> = LazyLock::new(|| {
     })
 });
 
-/// The jumps over all smooth edges, [`PLACES`] an edge, scaled so that the squares of an edge's sum to their mean. Places
+/// The jumps over all smooth edges, `PLACES` an edge, scaled so that the squares of an edge's sum to their mean. Places
 /// without a tangent plane are left out.
 pub fn jumps(network: &Network, points: &[Vec3]) -> Vec<Jump> {
     let patches = network.patches(points);
