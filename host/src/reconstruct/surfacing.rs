@@ -66,7 +66,7 @@ pub fn fit_base(
         points,
         feet,
         history,
-    } = fit(&network, &base.vertices, data, None, options)?;
+    } = fit(&network, &base.vertices, data, options)?;
     let surface = Surface {
         vertices: points[..base.vertices.len()].to_vec(),
         faces: base.faces.clone(),

@@ -5,6 +5,7 @@
 //! too.
 
 use super::bernstein::{CONTROL_POINTS, DerivativeMatrix, Direction, EQUILATERAL, edge_index};
+use super::edges::Side;
 use super::network::Network;
 use std::sync::LazyLock;
 
@@ -50,21 +51,48 @@ const JUMP_PLACES: usize = 5;
 /// places along it seen from corner `edge`.
 static SECOND_ACROSS: LazyLock<[[[f64; CONTROL_POINTS]; JUMP_PLACES]; 3]> = LazyLock::new(|| {
     [0, 1, 2].map(|edge: usize| {
-        // Across the edge: from its middle to the opposite corner, as a unit direction of the
-        // equilateral frame (height sqrt 3 / 2).
-        let height = 0.75_f64.sqrt();
-        let mut across = [-0.5 / height; 3];
-        across[(edge + 2) % 3] = 1.0 / height;
-        let matrix = DerivativeMatrix::along(&[across, across]);
-        std::array::from_fn(|place| {
-            let t = (place as f64 + 0.5) / JUMP_PLACES as f64;
-            let mut at = [0.0; 3];
-            at[edge] = 1.0 - t;
-            at[(edge + 1) % 3] = t;
-            matrix.weights(at)
-        })
+        let matrix = DerivativeMatrix::along(&[across(edge); 2]);
+        std::array::from_fn(|place| matrix.weights(place_on(edge, place, JUMP_PLACES)))
     })
 });
+
+/// Across a local edge: from its middle to the opposite corner, as a unit direction of the equilateral frame (height
+/// sqrt 3 / 2).
+pub(crate) fn across(edge: usize) -> Direction {
+    let height = 0.75_f64.sqrt();
+    let mut across = [-0.5 / height; 3];
+    across[(edge + 2) % 3] = 1.0 / height;
+    across
+}
+
+/// Barycentric coordinates of one of `places` even places on a local edge, seen from corner `edge`.
+pub(crate) fn place_on(edge: usize, place: usize, places: usize) -> [f64; 3] {
+    let t = (place as f64 + 0.5) / places as f64;
+    let mut at = [0.0; 3];
+    at[edge] = 1.0 - t;
+    at[(edge + 1) % 3] = t;
+    at
+}
+
+/// Adds to a row (control point, weight) the three rows of control points next to one side of an edge, each with the
+/// weight that `weight` gives for its slot in the patch.
+pub(crate) fn add_side(
+    row: &mut Vec<(u32, f64)>,
+    network: &Network,
+    side: &Side,
+    weight: impl Fn(usize) -> f64,
+) {
+    for r in 0..3 {
+        for along in 0..=5 - r {
+            let slot = edge_index(usize::from(side.local), r, along);
+            let number = network.numbers[side.face as usize][slot];
+            match row.iter_mut().find(|(known, _)| *known == number) {
+                Some((_, sum)) => *sum += weight(slot),
+                None => row.push((number, weight(slot))),
+            }
+        }
+    }
+}
 
 /// Rows (control point, weight) whose squares sum to the mean squared jump of the second cross derivative
 /// over smooth edge `edge`; empty for creases and borders.
@@ -82,19 +110,8 @@ pub fn jump_rows(network: &Network, edge: usize) -> Vec<Vec<(u32, f64)>> {
                 } else {
                     JUMP_PLACES - 1 - place
                 };
-                let local = usize::from(side.local);
-                let weights = &SECOND_ACROSS[local][place];
-                for r in 0..3 {
-                    for along in 0..=5 - r {
-                        let slot = edge_index(local, r, along);
-                        let number = network.numbers[side.face as usize][slot];
-                        let weight = sign * scale * weights[slot];
-                        match row.iter_mut().find(|(known, _)| *known == number) {
-                            Some((_, sum)) => *sum += weight,
-                            None => row.push((number, weight)),
-                        }
-                    }
-                }
+                let weights = &SECOND_ACROSS[usize::from(side.local)][place];
+                add_side(&mut row, network, side, |slot| sign * scale * weights[slot]);
             }
             row.retain(|(_, weight)| *weight != 0.0);
             row

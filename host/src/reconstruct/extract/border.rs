@@ -177,10 +177,7 @@ pub(super) fn close_or_open(
         for i in 0..3 {
             let (a, b) = (f[i], f[(i + 1) % 3]);
             if opened(a) && !inside(b) || opened(b) && !inside(a) {
-                let (sa, sb) = (support[a as usize], support[b as usize]);
-                let t = share((radius - sa) / (sb - sa)).clamp(0.0, 1.0);
-                let (pa, pb) = (mesh.positions[a as usize], mesh.positions[b as usize]);
-                rim.push(pa + t * (pb - pa));
+                rim.push(crossing(&mesh, support, [a, b], radius));
             }
         }
     }
@@ -214,6 +211,14 @@ pub(super) fn close_or_open(
     (clip(&mesh, &level), holes)
 }
 
+/// Where the support crosses `level` on an edge.
+fn crossing(mesh: &TriangleMesh, support: &[f64], edge: [u32; 2], level: f64) -> Vec3 {
+    let [sa, sb] = edge.map(|v| support[v as usize]);
+    let [pa, pb] = edge.map(|v| mesh.positions[v as usize]);
+    let t = share((level - sa) / (sb - sa)).clamp(0.0, 1.0);
+    pa + t * (pb - pa)
+}
+
 /// The rims of the opened holes (`hole_of` a vertex) as far from the contacts as the holes are deep, at most
 /// `closing.wide`, with that distance.
 fn far_rims(
@@ -232,9 +237,7 @@ fn far_rims(
             if let Some(n) = hole_of(a).or_else(|| hole_of(b))
                 && (sa > far(n)) != (sb > far(n))
             {
-                let t = share((far(n) - sa) / (sb - sa)).clamp(0.0, 1.0);
-                let (pa, pb) = (mesh.positions[a as usize], mesh.positions[b as usize]);
-                rims[n].push(pa + t * (pb - pa));
+                rims[n].push(crossing(mesh, support, [a, b], far(n)));
             }
         }
     }

@@ -17,8 +17,9 @@
 //! costs accuracy), and this one. This one was taken.
 
 use crate::Vec3;
-use crate::spline::bernstein::{CONTROL_POINTS, DerivativeMatrix, Direction, edge_index};
+use crate::spline::bernstein::{CONTROL_POINTS, DerivativeMatrix, Direction};
 use crate::spline::combine;
+use crate::spline::energy::{across, add_side, place_on};
 use crate::spline::network::Network;
 use std::sync::LazyLock;
 
@@ -44,10 +45,7 @@ struct Place {
 /// Places of the three edges, each seen from its corner with the edge's number.
 static EDGES: LazyLock<[[Place; PLACES]; 3]> = LazyLock::new(|| {
     [0, 1, 2].map(|edge: usize| {
-        // Unit directions of the equilateral frame, whose height is sqrt 3 / 2.
-        let height = 0.75_f64.sqrt();
-        let mut across: Direction = [-0.5 / height; 3];
-        across[(edge + 2) % 3] = 1.0 / height;
+        let across = across(edge);
         let mut along: Direction = [0.0; 3];
         along[edge] = -1.0;
         along[(edge + 1) % 3] = 1.0;
@@ -59,10 +57,7 @@ static EDGES: LazyLock<[[Place; PLACES]; 3]> = LazyLock::new(|| {
             DerivativeMatrix::along(&[along, along]),
         ];
         std::array::from_fn(|place| {
-            let t = (place as f64 + 0.5) / PLACES as f64;
-            let mut at = [0.0; 3];
-            at[edge] = 1.0 - t;
-            at[(edge + 1) % 3] = t;
+            let at = place_on(edge, place, PLACES);
             let [across, along, second @ ..] = matrices.each_ref().map(|m| m.weights(at));
             Place {
                 across,
@@ -112,18 +107,9 @@ pub fn jumps(network: &Network, points: &[Vec3]) -> Vec<Jump> {
                 (sides[1], [-a * a, -2.0 * a * b, -b * b], &there.second),
             ];
             for (side, shares, second) in parts {
-                for row in 0..3 {
-                    for along in 0..=5 - row {
-                        let slot = edge_index(usize::from(side.local), row, along);
-                        let number = network.numbers[side.face as usize][slot];
-                        let weight =
-                            scale * (0..3).map(|m| shares[m] * second[m][slot]).sum::<f64>();
-                        match terms.iter_mut().find(|(known, _)| *known == number) {
-                            Some((_, sum)) => *sum += weight,
-                            None => terms.push((number, weight)),
-                        }
-                    }
-                }
+                add_side(&mut terms, network, &side, |slot| {
+                    scale * (0..3).map(|m| shares[m] * second[m][slot]).sum::<f64>()
+                });
             }
             out.push(Jump { terms, normal });
         }

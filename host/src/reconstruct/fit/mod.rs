@@ -116,7 +116,7 @@ pub struct Fit {
     pub history: Vec<f64>,
 }
 
-/// Fits `network` over base `vertices` to the data, starting from `start` (the flat network if `None`).
+/// Fits `network` over base `vertices` to the data, starting from the flat network.
 ///
 /// # Errors
 /// When a system cannot be solved.
@@ -124,11 +124,9 @@ pub fn fit(
     network: &Network,
     vertices: &[Vec3],
     data: &[Datum],
-    start: Option<Vec<Vec3>>,
     options: &FitOptions,
 ) -> Result<Fit, SystemError> {
-    let flat = start.is_none();
-    let points = start.unwrap_or_else(|| network.flat(vertices));
+    let points = network.flat(vertices);
     let Some(first) = points.first().copied() else {
         return Err(SystemError::NotFinite);
     };
@@ -157,7 +155,7 @@ pub fn fit(
     let mut history = Vec::new();
     let mut best = f64::INFINITY;
     for round in 0..options.rounds {
-        let next = fitting.round(flat && round == 0)?;
+        let next = fitting.round(round == 0)?;
         // The first round knows no curvature yet; that the next pays for it with distance is no reason to refuse it.
         let dearer = options.fair_curvature > 0.0 && round == 1;
         if dearer || next.error <= best * 1.05 {
@@ -518,6 +516,22 @@ mod tests {
         (vertices, faces)
     }
 
+    /// The surface of a fit over a closed base.
+    fn surface(network: &Network, fit: &Fit) -> Surface {
+        let base_vertices = network
+            .faces
+            .iter()
+            .flatten()
+            .max()
+            .map_or(0, |v| *v as usize + 1);
+        Surface {
+            vertices: fit.points[..base_vertices].to_vec(),
+            faces: network.faces.clone(),
+            control_points: network.patches(&fit.points),
+            ..Surface::default()
+        }
+    }
+
     #[test]
     fn sphere_is_met_as_in_the_trials() {
         let (vertices, faces) = icosahedron();
@@ -543,14 +557,8 @@ mod tests {
                 outlier_scale: f64::INFINITY,
                 fair_curvature: 0.0,
             };
-            let fit = fit(&network, &vertices, &data, None, &options).unwrap();
-            let surface = Surface {
-                vertices: fit.points[..12].to_vec(),
-                faces: faces.clone(),
-                control_points: network.patches(&fit.points),
-                ..Surface::default()
-            };
-            let measures = surface.measure().unwrap();
+            let fit = fit(&network, &vertices, &data, &options).unwrap();
+            let measures = surface(&network, &fit).measure().unwrap();
             println!("{normal_term:?} {:?} {measures:?}", fit.history);
             assert!(
                 measures.g1_max_degrees < 1e-9,
@@ -601,14 +609,8 @@ mod tests {
                 outlier_scale: f64::INFINITY,
                 fair_curvature,
             };
-            let fit = fit(&network, &base, &data, None, &options).unwrap();
-            let surface = Surface {
-                vertices: fit.points[..12].to_vec(),
-                faces: faces.clone(),
-                control_points: network.patches(&fit.points),
-                ..Surface::default()
-            };
-            let measures = surface.measure().unwrap();
+            let fit = fit(&network, &base, &data, &options).unwrap();
+            let measures = surface(&network, &fit).measure().unwrap();
             assert!(measures.g1_max_degrees < 1e-9);
             (measures.curvature_jump_rms, *fit.history.last().unwrap())
         });
