@@ -11,6 +11,7 @@ use crate::bench_board::pseudo_terminal;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serialport::{SerialPort, TTYPort};
+use std::collections::VecDeque;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -38,6 +39,8 @@ pub struct Faults {
     pub truncate: f64,
     /// The line stalls for 1 to 50 ms.
     pub stall: f64,
+    /// What is sent together comes late by up to this, us; each time another delay, and in order.
+    pub late_us: u32,
     /// All bytes come as at a wrong baud rate: noise.
     pub garbage: bool,
     /// Nothing is read any more from this side.
@@ -54,6 +57,7 @@ impl Faults {
         burst: 0.0,
         truncate: 0.0,
         stall: 0.0,
+        late_us: 0,
         garbage: false,
         blocked: false,
     };
@@ -145,6 +149,56 @@ impl FaultInjector {
         }
         out.extend(held);
         (out, stall)
+    }
+
+    /// How late what is sent now comes.
+    pub fn lateness(&mut self, faults: &Faults) -> Duration {
+        if faults.late_us == 0 {
+            return Duration::ZERO;
+        }
+        Duration::from_micros(self.rng.random_range(0..=u64::from(faults.late_us)))
+    }
+}
+
+/// Bytes on their way, in the order in which they were sent.
+#[derive(Debug, Default)]
+pub struct OnTheWay {
+    parts: VecDeque<(Instant, Vec<u8>)>,
+    bytes: usize,
+}
+
+impl OnTheWay {
+    /// Sends bytes that arrive at `due`, but not before those sent earlier; returns how many found no room.
+    pub fn send(&mut self, due: Instant, mut bytes: Vec<u8>) -> u64 {
+        let room = WAITING_BYTES.saturating_sub(self.bytes).min(bytes.len());
+        let lost = bytes.len() - room;
+        bytes.truncate(room);
+        if !bytes.is_empty() {
+            let earliest = self.parts.back().map_or(due, |(due, _)| *due);
+            self.bytes += room;
+            self.parts.push_back((due.max(earliest), bytes));
+        }
+        lost as u64
+    }
+
+    /// When the next bytes arrive.
+    pub fn next_due(&self) -> Option<Instant> {
+        self.parts.front().map(|(due, _)| *due)
+    }
+
+    /// Offers what has arrived by `now` to `take`, which says how many bytes it took, until it takes less than all.
+    pub fn arrive(&mut self, now: Instant, mut take: impl FnMut(&[u8]) -> usize) {
+        while let Some((due, bytes)) = self.parts.front_mut()
+            && *due <= now
+        {
+            let taken = take(bytes).min(bytes.len());
+            self.bytes -= taken;
+            if taken < bytes.len() {
+                bytes.drain(..taken);
+                return;
+            }
+            self.parts.pop_front();
+        }
     }
 }
 
@@ -277,7 +331,7 @@ fn pump(mut board: TTYPort, shared: &Shared, seed: u64) -> u64 {
     let mut to_host = FaultInjector::new(seed);
     let mut to_board = FaultInjector::new(seed ^ 0x5eed);
     let mut host: Option<HostSide> = None;
-    let (mut for_host, mut for_board) = (Vec::new(), Vec::new());
+    let (mut for_host, mut for_board) = (OnTheWay::default(), OnTheWay::default());
     let mut buffer = [0; 1_024];
     while !shared.stop.load(Ordering::Relaxed) {
         let (faults, wanted) = {
@@ -287,7 +341,7 @@ fn pump(mut board: TTYPort, shared: &Shared, seed: u64) -> u64 {
         if host.as_ref().map(|side| &side.link) != wanted.as_ref() {
             // Dropped first: the old name goes before the new one comes.
             drop(host.take());
-            for_host.clear();
+            for_host = OnTheWay::default();
             host = wanted.as_deref().map(HostSide::plug_in);
         }
         if !faults.to_host.blocked
@@ -297,7 +351,8 @@ fn pump(mut board: TTYPort, shared: &Shared, seed: u64) -> u64 {
             std::thread::sleep(stall);
             // Written before the other side is read: waiting for it would make the two directions differ.
             if let Some(side) = &mut host {
-                to_host.injected += wait(&mut for_host, &bytes);
+                let due = Instant::now() + to_host.lateness(&faults.to_host);
+                to_host.injected += for_host.send(due, bytes);
                 write_some(&mut side.near, &mut for_host);
             }
         }
@@ -307,7 +362,8 @@ fn pump(mut board: TTYPort, shared: &Shared, seed: u64) -> u64 {
         {
             let (bytes, stall) = to_board.apply(&buffer[..count], &faults.to_board);
             std::thread::sleep(stall);
-            to_board.injected += wait(&mut for_board, &bytes);
+            let due = Instant::now() + to_board.lateness(&faults.to_board);
+            to_board.injected += for_board.send(due, bytes);
         }
         write_some(&mut board, &mut for_board);
         if let Some(side) = &mut host {
@@ -317,18 +373,7 @@ fn pump(mut board: TTYPort, shared: &Shared, seed: u64) -> u64 {
     to_host.injected + to_board.injected
 }
 
-/// Adds bytes to those that wait; returns how many found no room.
-fn wait(waiting: &mut Vec<u8>, bytes: &[u8]) -> u64 {
-    let room = WAITING_BYTES.saturating_sub(waiting.len()).min(bytes.len());
-    waiting.extend_from_slice(&bytes[..room]);
-    (bytes.len() - room) as u64
-}
-
-/// Writes what the other side takes now.
-fn write_some(port: &mut TTYPort, waiting: &mut Vec<u8>) {
-    if !waiting.is_empty()
-        && let Ok(count) = port.write(waiting)
-    {
-        waiting.drain(..count);
-    }
+/// Writes what has arrived and the other side takes now.
+fn write_some(port: &mut TTYPort, arriving: &mut OnTheWay) {
+    arriving.arrive(Instant::now(), |bytes| port.write(bytes).unwrap_or(0));
 }

@@ -11,3 +11,4 @@ pub mod patches;
 pub mod program;
 pub mod python;
 pub mod script;
+pub mod simulated_line;

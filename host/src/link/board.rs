@@ -11,7 +11,7 @@ use palpus_protocol::{
     BoardMessage, Calibration, CalibrationStored, Command, GaugeCounts, HostMessage, Outcome,
     RawGauges, Refusal, Request, Statistics, Streams, TareRequest, Tared, TimeSyncRequest,
 };
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// A board's counters with those of each gauge.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,12 +32,12 @@ pub fn statistics(connection: &mut Connection) -> Result<BoardStatistics, LinkEr
         request_id,
         command: Command::Statistics,
     });
-    let end = Instant::now() + GIVE_UP_AFTER;
+    let end = connection.clock().instant() + GIVE_UP_AFTER;
     let mut board: Option<Statistics> = None;
     let mut gauges: Vec<Option<GaugeCounts>> = Vec::new();
-    while Instant::now() < end {
+    while connection.clock().instant() < end {
         connection.send(&message)?;
-        let repeat = (Instant::now() + REPEAT_AFTER).min(end);
+        let repeat = (connection.clock().instant() + REPEAT_AFTER).min(end);
         while let Some(received) = connection.receive(repeat)? {
             match received.message {
                 Ok(BoardMessage::Statistics(found)) if found.request_id == request_id => {
@@ -140,18 +140,20 @@ pub fn raw(
     };
     connection.request(Command::Start(streams), GIVE_UP_AFTER)?;
     let silence = Duration::from_secs(2);
-    let mut last = Instant::now();
+    let mut last = connection.clock().instant();
     let result = loop {
-        match connection.receive(Instant::now() + Duration::from_millis(50)) {
+        match connection.receive(connection.clock().instant() + Duration::from_millis(50)) {
             Ok(Some(received)) => {
                 if let Ok(BoardMessage::RawGauges(gauges)) = received.message {
-                    last = Instant::now();
+                    last = connection.clock().instant();
                     if !take(&gauges) {
                         break Ok(());
                     }
                 }
             }
-            Ok(None) if last.elapsed() > silence => break Err(no_answer(connection, "raw gauges")),
+            Ok(None) if connection.clock().instant().saturating_duration_since(last) > silence => {
+                break Err(no_answer(connection, "raw gauges"));
+            }
             Ok(None) => {}
             Err(error) => break Err(error),
         }
@@ -206,9 +208,12 @@ pub fn mean_counts(
 /// # Errors
 /// [`LinkError`].
 pub fn ping(connection: &mut Connection, number: u32) -> Result<Duration, LinkError> {
-    let start = Instant::now();
+    let start = connection.clock().instant();
     match connection.request(Command::Ping(number), GIVE_UP_AFTER)? {
-        Outcome::Pong(answer) if answer == number => Ok(start.elapsed()),
+        Outcome::Pong(answer) if answer == number => Ok(connection
+            .clock()
+            .instant()
+            .saturating_duration_since(start)),
         other => Err(unexpected(connection, "ping", &other)),
     }
 }
@@ -236,7 +241,7 @@ pub fn compare_clocks(
         });
         let sent_us = clock.now_us();
         let bytes = connection.send(&message)?;
-        let end = Instant::now() + GIVE_UP_AFTER;
+        let end = connection.clock().instant() + GIVE_UP_AFTER;
         let mut found = None;
         // Not repeated: the answer to a repeated request could not be told from the first one's.
         while let Some(received) = connection.receive(end)? {

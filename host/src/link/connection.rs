@@ -119,6 +119,11 @@ impl Connection {
         &self.name
     }
 
+    /// The clock that frames are dated and waited by.
+    pub fn clock(&self) -> HostClock {
+        self.clock
+    }
+
     /// The counts so far.
     pub fn counts(&self) -> ConnectionCounts {
         self.counts
@@ -127,6 +132,11 @@ impl Connection {
     /// What the last accepted frame said of its sender's version.
     pub fn peer(&self) -> Option<Peer> {
         self.peer
+    }
+
+    /// Numbers the requests from `id` on, not from anywhere, where a run has to be repeated bit by bit.
+    pub fn number_from(&mut self, id: u32) {
+        self.next_id = id;
     }
 
     /// A number no request of this connection has had.
@@ -165,7 +175,9 @@ impl Connection {
             if let Some(received) = self.waiting.pop_front() {
                 return Ok(Some(received));
             }
-            if !self.fill(deadline)? || (self.waiting.is_empty() && Instant::now() >= deadline) {
+            if !self.fill(deadline)?
+                || (self.waiting.is_empty() && self.clock.instant() >= deadline)
+            {
                 return Ok(None);
             }
         }
@@ -241,14 +253,14 @@ impl Connection {
         answer: impl Fn(&BoardMessage) -> Result<T, ()>,
     ) -> Result<T, LinkError> {
         let before = self.counts;
-        let start = Instant::now();
+        let start = self.clock.instant();
         let end = start + give_up;
         let mut kept = VecDeque::new();
         let mut mismatch = None;
         let mut found = None;
-        'asking: while Instant::now() < end {
+        'asking: while self.clock.instant() < end {
             self.send(message)?;
-            let repeat = (Instant::now() + REPEAT_AFTER).min(end);
+            let repeat = (self.clock.instant() + REPEAT_AFTER).min(end);
             while let Some(received) = self.receive(repeat)? {
                 match &received.message {
                     Ok(message) => found = answer(message).ok(),
@@ -288,7 +300,7 @@ impl Connection {
     fn fill(&mut self, deadline: Instant) -> Result<bool, LinkError> {
         let mut buffer = [0; 4_096];
         let patience = deadline
-            .saturating_duration_since(Instant::now())
+            .saturating_duration_since(self.clock.instant())
             .max(Duration::from_micros(100));
         self.port.set_patience(patience).map_err(|e| self.io(e))?;
         let count = match self.port.read(&mut buffer) {

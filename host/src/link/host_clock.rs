@@ -5,7 +5,9 @@
 //! tells that it happened.
 //!
 //! Both what dates the clock and how fast it runs can be given ([`HostClock::of`]): tests set the wall clock of a
-//! running capture without touching that of the machine, and make hours of board time pass in less.
+//! running capture without touching that of the machine, and make hours of board time pass in less. Time itself can
+//! be given as well ([`HostClock::told`]): links wait by their clock and not by the system's, so that a session on a
+//! simulated line runs in simulated time, and gives the same on every machine.
 
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
@@ -15,6 +17,7 @@ pub struct HostClock {
     anchor: Instant,
     anchor_us: i64,
     wall_us: fn() -> i64,
+    now: fn() -> Instant,
     speed: f64,
 }
 
@@ -32,17 +35,32 @@ impl HostClock {
 
     /// A clock dated by `wall_us`, microseconds since the Unix epoch, that runs `speed` times as fast as time.
     pub fn of(wall_us: fn() -> i64, speed: f64) -> Self {
+        Self::started(Instant::now, wall_us, speed)
+    }
+
+    /// A clock that is told the time by `now`, which must not go back, and dated by `wall_us`.
+    pub fn told(now: fn() -> Instant, wall_us: fn() -> i64) -> Self {
+        Self::started(now, wall_us, 1.0)
+    }
+
+    fn started(now: fn() -> Instant, wall_us: fn() -> i64, speed: f64) -> Self {
         Self {
-            anchor: Instant::now(),
+            anchor: now(),
             anchor_us: wall_us(),
             wall_us,
+            now,
             speed,
         }
     }
 
+    /// This instant.
+    pub fn instant(&self) -> Instant {
+        (self.now)()
+    }
+
     /// Microseconds since the Unix epoch.
     pub fn now_us(&self) -> i64 {
-        self.at_us(Instant::now())
+        self.at_us(self.instant())
     }
 
     /// Microseconds since the Unix epoch at an instant.
@@ -65,7 +83,8 @@ impl HostClock {
 
     /// By how much the wall clock has moved against this one since it was started, microseconds.
     pub fn wall_jump_us(&self) -> i64 {
-        let passed_us = self.anchor.elapsed().as_micros();
+        let passed = self.instant().saturating_duration_since(self.anchor);
+        let passed_us = passed.as_micros();
         (self.wall_us)()
             .saturating_sub(self.anchor_us)
             .saturating_sub(i64::try_from(passed_us).unwrap_or(i64::MAX))

@@ -21,6 +21,7 @@ use palpus_protocol::{
     BoardMessage, CONTACT_FRAME_BYTES, Command, Contact, HostMessage, Identity, LogLevel, Outcome,
     Request, Streams, TimeSyncAnswer, TimeSyncRequest,
 };
+use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -32,6 +33,9 @@ const SEARCH_PATIENCE: Duration = Duration::from_millis(600);
 const SEARCH_PAUSE: Duration = Duration::from_millis(200);
 /// A time request without an answer for so long is forgotten.
 const SYNC_PATIENCE: Duration = Duration::from_millis(500);
+/// Time requests that wait for their answers at most. With one at a time every request or answer that the line damages
+/// costs half a second of comparing: a twentieth of the frames lost made the alignment half as good.
+const MOST_ASKED: usize = 8;
 /// Round trips made before the stream starts, so that the first contact already has a time.
 const FIRST_ROUND_TRIPS: usize = 4;
 /// Largest time answer on the wire, bytes.
@@ -142,6 +146,14 @@ pub fn same_board(a: &Identity, b: &Identity) -> bool {
 /// Takes an event, or returns false when it has no room.
 pub type Sink<'a> = dyn FnMut(LinkEvent) -> bool + 'a;
 
+/// A time request under way.
+#[derive(Clone, Copy)]
+struct Asked {
+    id: u32,
+    at: Instant,
+    bytes: usize,
+}
+
 /// A finger's link.
 pub struct Session {
     settings: SessionSettings,
@@ -154,8 +166,8 @@ pub struct Session {
     status: LinkStatus,
     /// Latest full board time known.
     board_us: u64,
-    /// The time request under way: id, when it was sent, bytes.
-    asked: Option<(u32, Instant, i64, usize)>,
+    /// The time requests under way, oldest first.
+    asked: VecDeque<Asked>,
     next_sync: Instant,
     young_until: i64,
     last_frame: Instant,
@@ -171,10 +183,19 @@ impl Session {
     /// # Errors
     /// [`LinkError`]: no such device, no answer, another version or schema.
     pub fn connect(settings: SessionSettings, clock: HostClock) -> Result<Self, LinkError> {
-        let mut connection = Connection::open(&settings.port, settings.baud, clock)?;
+        let connection = Connection::open(&settings.port, settings.baud, clock)?;
+        Self::over(connection, settings)
+    }
+
+    /// The same over a connection that is open already, by its clock.
+    ///
+    /// # Errors
+    /// [`LinkError`]: no answer, another version or schema.
+    pub fn over(mut connection: Connection, settings: SessionSettings) -> Result<Self, LinkError> {
         let identity = connection.identify(GIVE_UP_AFTER)?;
         connection.check_peer()?;
-        let now = Instant::now();
+        let clock = connection.clock();
+        let now = clock.instant();
         let mut session = Self {
             wire: wire_time(&settings.port, settings.baud),
             tracker: SequenceTracker::new(u32::from(settings.streams.contact_every)),
@@ -189,7 +210,7 @@ impl Session {
             board_us: identity.board_time_us,
             identity,
             filter: ClockFilter::new(),
-            asked: None,
+            asked: VecDeque::new(),
             next_sync: now,
             young_until: clock.now_us() + START_US,
             last_frame: now,
@@ -244,7 +265,7 @@ impl Session {
         if let Some(connection) = &mut self.connection {
             // What came before the board stopped still counts.
             let stopped = connection.request(Command::Stop, Duration::from_secs(1));
-            let end = Instant::now() + Duration::from_millis(1);
+            let end = self.clock.instant() + Duration::from_millis(1);
             while let Ok(Some(received)) = connection_receive(&mut self.connection, end) {
                 self.handle(received, sink);
             }
@@ -269,24 +290,29 @@ impl Session {
         sink: &mut Sink<'_>,
         publish: &mut dyn FnMut(&LinkStatus),
     ) -> Result<(), LinkError> {
-        self.last_frame = Instant::now();
+        self.last_frame = self.clock.instant();
         while !stop.load(Ordering::Relaxed) {
             if self.must_start {
                 let streams = self.settings.streams;
                 self.connection()?
                     .request(Command::Start(streams), GIVE_UP_AFTER)?;
                 self.must_start = false;
-                self.last_frame = Instant::now();
+                self.last_frame = self.clock.instant();
             }
             self.ask_time()?;
             let deadline = self
                 .next_sync
-                .min(Instant::now() + Duration::from_millis(20));
+                .min(self.clock.instant() + Duration::from_millis(20));
             if let Some(received) = self.connection()?.receive(deadline)? {
-                self.last_frame = Instant::now();
+                self.last_frame = self.clock.instant();
                 self.handle(received, sink);
             }
-            if self.last_frame.elapsed() > SILENCE {
+            if self
+                .clock
+                .instant()
+                .saturating_duration_since(self.last_frame)
+                > SILENCE
+            {
                 let identity = self.connection()?.identify(GIVE_UP_AFTER)?;
                 if !same_board(&identity, &self.identity) {
                     return Err(self.another_board(&identity));
@@ -300,8 +326,8 @@ impl Session {
                 self.must_start = true;
             }
             self.update_status();
-            if Instant::now() >= self.next_status {
-                self.next_status = Instant::now() + Duration::from_secs(1);
+            if self.clock.instant() >= self.next_status {
+                self.next_status = self.clock.instant() + Duration::from_secs(1);
                 self.offer(sink, LinkEvent::Status(self.status.clone()));
             }
             publish(&self.status);
@@ -388,9 +414,9 @@ impl Session {
     fn restarted(&mut self, board_us: u64, sink: &mut Sink<'_>) {
         self.filter.restart();
         self.board_us = board_us;
-        self.asked = None;
+        self.asked.clear();
         self.must_start = true;
-        self.next_sync = Instant::now();
+        self.next_sync = self.clock.instant();
         self.young_until = self.clock.now_us() + START_US;
         self.note(
             sink,
@@ -402,13 +428,19 @@ impl Session {
 
     /// Sends a time request when one is due.
     fn ask_time(&mut self) -> Result<(), LinkError> {
-        let now = Instant::now();
+        let now = self.clock.instant();
         if now < self.next_sync {
             return Ok(());
         }
-        if let Some((_, since, _, _)) = self.asked
-            && since.elapsed() < SYNC_PATIENCE
+        let waited = |asked: &Asked| now.saturating_duration_since(asked.at);
+        while self
+            .asked
+            .front()
+            .is_some_and(|a| waited(a) >= SYNC_PATIENCE)
         {
+            self.asked.pop_front();
+        }
+        if self.asked.len() >= MOST_ASKED {
             self.next_sync = now + Duration::from_millis(5);
             return Ok(());
         }
@@ -425,9 +457,13 @@ impl Session {
             request_id,
             command: Command::TimeSync(TimeSyncRequest { host_send_us }),
         });
-        let since = Instant::now();
+        let at = connection.clock().instant();
         let bytes = connection.send(&message)?;
-        self.asked = Some((request_id, since, self.clock.at_us(since), bytes));
+        self.asked.push_back(Asked {
+            id: request_id,
+            at,
+            bytes,
+        });
         Ok(())
     }
 
@@ -455,7 +491,10 @@ impl Session {
         answer_bytes: usize,
         sink: &mut Sink<'_>,
     ) {
-        let Some((_, _, sent_us, bytes)) = self.asked.take_if(|(id, ..)| *id == request_id) else {
+        let Some(place) = self.asked.iter().position(|a| a.id == request_id) else {
+            return;
+        };
+        let Some(Asked { at, bytes, .. }) = self.asked.remove(place) else {
             return;
         };
         if answer.board_send_us.saturating_add(RESTART_US) < self.board_us {
@@ -465,7 +504,7 @@ impl Session {
         self.board_us = self.board_us.max(answer.board_send_us);
         let board = |us: u64| i64::try_from(us).unwrap_or(i64::MAX);
         let trip = RoundTrip {
-            sent_us: sent_us + self.wire.of(bytes),
+            sent_us: self.clock.at_us(at) + self.wire.of(bytes),
             board_received_us: board(answer.board_receive_us),
             board_sent_us: board(answer.board_send_us),
             received_us: at_us - self.wire.of(answer_bytes),
@@ -483,12 +522,13 @@ impl Session {
 
     /// Makes a few round trips; without a sink, whatever else comes was sent before the run began and is let go.
     fn first_round_trips(&mut self, mut sink: Option<&mut Sink<'_>>) -> Result<(), LinkError> {
-        let end = Instant::now() + GIVE_UP_AFTER;
+        let end = self.clock.instant() + GIVE_UP_AFTER;
         let mut done = 0;
-        while done < FIRST_ROUND_TRIPS && Instant::now() < end {
+        while done < FIRST_ROUND_TRIPS && self.clock.instant() < end {
+            self.asked.clear();
             self.send_time_request()?;
-            let deadline = (Instant::now() + SYNC_PATIENCE).min(end);
-            while self.asked.is_some() {
+            let deadline = (self.clock.instant() + SYNC_PATIENCE).min(end);
+            while !self.asked.is_empty() {
                 let Some(received) = self.connection()?.receive(deadline)? else {
                     break;
                 };
@@ -530,7 +570,7 @@ impl Session {
         self.connection = Some(connection);
         self.wire = wire_time(port, self.settings.baud);
         self.settings.port = port.into();
-        self.asked = None;
+        self.asked.clear();
         self.must_start = true;
         self.status.port = port.into();
         self.status.connected = true;
@@ -559,7 +599,7 @@ impl Session {
             self.bad_before += connection.counts().bad;
         }
         self.status.connected = false;
-        self.asked = None;
+        self.asked.clear();
     }
 
     fn announce(&mut self, sink: &mut Sink<'_>) {
