@@ -63,7 +63,7 @@ pub struct Args {
         default_value_t = 20_000
     )]
     max_patches: usize,
-    /// Rounds of fit and reparameterisation per level.
+    /// Rounds of fit and reparameterisation per level, at most 100.
     #[arg(
         long,
         help_heading = "How close",
@@ -105,7 +105,8 @@ pub struct Args {
     /// Make everything smooth: look for no creases.
     #[arg(long, help_heading = "What surface")]
     no_creases: bool,
-    /// Most memory phase 1 may take, in MB.
+    /// Most memory that extraction and fit may take, in MB: estimated before it is taken. Refinement ends before it
+    /// would take more.
     #[arg(
         long,
         help_heading = "Running",

@@ -106,6 +106,18 @@ pub enum ReconstructError {
         /// What is allowed.
         range: &'static str,
     },
+    /// The fit would take too much memory.
+    #[error(
+        "a fit of {patches} patches would take about {needed} bytes, more than the {limit} allowed: allow more memory or a wider tolerance"
+    )]
+    TooMuchMemory {
+        /// Patches it would start with.
+        patches: usize,
+        /// Bytes it would take.
+        needed: usize,
+        /// Bytes allowed.
+        limit: usize,
+    },
     /// Phase 1 failed.
     #[error("extraction: {0}")]
     Extract(#[from] ExtractError),
@@ -206,6 +218,15 @@ pub fn reconstruct(
 /// Most threads; a machine that has more gains nothing from them here.
 const MOST_THREADS: usize = 512;
 
+/// Largest weight of the normals. There a normal that is 1.8 degrees off costs as much as a distance of a patch's edge;
+/// with 1e6 even exact data ask for ever more patches (a ball of 400 contacts: minutes, where 1000 takes 0.3 s).
+const MOST_LAMBDA: f64 = 1e3;
+/// Most rounds. Four are usual; each of a thousand would take as long as any other.
+const MOST_ROUNDS: usize = 100;
+/// Bytes that a fit takes for each patch: the equations' pattern, values and factor. Measured on a ball and a clean scan
+/// of 190 to 4150 patches: 260 000 to 360 000.
+const FIT_BYTES_PER_PATCH: usize = 400_000;
+
 /// Accuracy of the base mesh against the tolerance, and against the noise: patches that miss the field's surface by
 /// this much add nothing to the error that the data leave (bean, ellipsoid, trilobe: 54 to 80 patches when clean).
 const ACCURACY_OF_TOLERANCE: f64 = 0.1;
@@ -304,6 +325,7 @@ fn run(
 
     progress(Progress::Phase("fit"));
     let started = Instant::now();
+    check_memory(simplified.mesh.faces.len(), options)?;
     let (data, numbers) = data(&inner, &extracted, &creased, &simplified, options);
     let surfacing = SurfacingOptions {
         fit: FitOptions {
@@ -315,7 +337,7 @@ fn run(
         },
         tolerance,
         noise_sigma: noise.position_sigma,
-        max_patches: options.max_patches,
+        max_patches: most_patches(options),
         max_levels: 8,
     };
     if let Some(degree) = options.chart {
@@ -337,7 +359,7 @@ fn run(
             noise_sigma: noise.position_sigma,
             outlier_scale: surfacing.fit.outlier_scale,
             triangles: simplified.mesh.faces.len(),
-            max_triangles: options.max_patches,
+            max_triangles: surfacing.max_patches,
             max_levels: surfacing.max_levels,
         };
         chart_phases(&mut out, &prepared, &chart_options, progress)?;
@@ -445,6 +467,25 @@ fn notes(extracted: &Extracted, frame: &Frame) -> Vec<String> {
     notes
 }
 
+/// Most patches, by their number and by the memory that fitting them takes.
+fn most_patches(options: &Options) -> usize {
+    let by_memory = options.extract.max_memory / FIT_BYTES_PER_PATCH;
+    options.max_patches.min(by_memory)
+}
+
+/// Refuses a fit that would take more memory than allowed, before it takes any.
+fn check_memory(patches: usize, options: &Options) -> Result<(), ReconstructError> {
+    let needed = patches.saturating_mul(FIT_BYTES_PER_PATCH);
+    if needed > options.extract.max_memory {
+        return Err(ReconstructError::TooMuchMemory {
+            patches,
+            needed,
+            limit: options.extract.max_memory,
+        });
+    }
+    Ok(())
+}
+
 fn check(options: &Options) -> Result<(), ReconstructError> {
     let positive = |name, value: Option<f64>| match value {
         Some(value) if !(value > 0.0 && value.is_finite()) => Err(ReconstructError::BadOption {
@@ -467,6 +508,13 @@ fn check(options: &Options) -> Result<(), ReconstructError> {
             });
         }
     }
+    if let Some(value) = options.lambda.filter(|value| *value > MOST_LAMBDA) {
+        return Err(ReconstructError::BadOption {
+            name: "lambda",
+            value,
+            range: "0 to 1000",
+        });
+    }
     if let Some(degree) = options.chart.filter(|n| !(2..=5).contains(n)) {
         return Err(ReconstructError::BadOption {
             name: "degree",
@@ -474,13 +522,16 @@ fn check(options: &Options) -> Result<(), ReconstructError> {
             range: "2 to 5",
         });
     }
-    if options.rounds == 0 || options.max_patches == 0 {
+    if !(1..=MOST_ROUNDS).contains(&options.rounds) {
         return Err(ReconstructError::BadOption {
-            name: if options.rounds == 0 {
-                "rounds"
-            } else {
-                "max-patches"
-            },
+            name: "rounds",
+            value: options.rounds as f64,
+            range: "1 to 100",
+        });
+    }
+    if options.max_patches == 0 {
+        return Err(ReconstructError::BadOption {
+            name: "max-patches",
             value: 0.0,
             range: "at least 1",
         });
@@ -593,10 +644,11 @@ fn simplify_mesh(
         )
     };
     let simplified = simplify(&simplify_options)?;
-    if simplified.mesh.faces.len() <= options.max_patches {
+    let most = most_patches(options);
+    if simplified.mesh.faces.len() <= most {
         return Ok(simplified);
     }
-    simplify_options.target_faces = Some(options.max_patches);
+    simplify_options.target_faces = Some(most);
     simplify(&simplify_options)
 }
 
@@ -846,7 +898,8 @@ pub(super) fn judge(
                 "what lies beyond the tolerance ({from}) is noise, standard deviation {sigma:.3e}: finer patches would follow the noise, not the surface"
             ),
             Some(RefineEnd::PatchLimit) => {
-                "the next level would have more patches than --max-patches allows".to_owned()
+                "the next level would have more patches than --max-patches allows, or than fit into --max-memory"
+                    .to_owned()
             }
             Some(RefineEnd::LevelLimit) => {
                 "the limit on levels of refinement was reached".to_owned()
