@@ -13,7 +13,7 @@ mod stl;
 
 use crate::Vec3;
 use crate::mesh::TriangleMesh;
-use crate::ply::PlyError;
+use crate::ply::{PlyError, number_of, shown};
 use std::collections::HashMap;
 use std::fs;
 use std::path::Path;
@@ -163,6 +163,34 @@ fn fan(corners: &[u32], faces: &mut Vec<[u32; 3]>) {
             faces.push([*first, pair[0], pair[1]]);
         }
     }
+}
+
+/// What is wrong with a word, or the whole, of a line of text.
+fn wrong_in_line(file: &str, line: usize, value: &[u8], problem: &str) -> ImportError {
+    ImportError::Value {
+        file: file.to_owned(),
+        place: format!("line {line}"),
+        value: shown(value),
+        problem: problem.to_owned(),
+    }
+}
+
+/// The vertex that the next three `words` of the line `raw` say.
+fn vertex_in_line<'a>(
+    file: &str,
+    line: usize,
+    raw: &[u8],
+    words: &mut impl Iterator<Item = &'a [u8]>,
+) -> Result<Vec3, ImportError> {
+    let wrong = |value: &[u8], problem: &str| wrong_in_line(file, line, value, problem);
+    let mut coordinates = [0.0; 3];
+    for coordinate in &mut coordinates {
+        let word = words
+            .next()
+            .ok_or_else(|| wrong(raw, "has less than 3 coordinates"))?;
+        *coordinate = number_of(word).ok_or_else(|| wrong(word, "is no number"))?;
+    }
+    vertex(file, || format!("line {line}"), coordinates)
 }
 
 /// A vertex whose coordinates have to be finite.

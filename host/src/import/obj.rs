@@ -1,9 +1,9 @@
 //! Meshes from Wavefront OBJ: `v` and `f`; everything else is passed over. Indices may be negative
 //! (counted back from the vertex read last) and carry texture and normal indices (`1/2/3`, `1//3`).
 
-use super::{ImportError, fan, vertex};
+use super::{ImportError, fan, vertex_in_line, wrong_in_line};
 use crate::mesh::TriangleMesh;
-use crate::ply::{Lines, number_of, shown};
+use crate::ply::Lines;
 
 pub(super) fn parse(file: &str, bytes: &[u8]) -> Result<TriangleMesh, ImportError> {
     let mut lines = Lines {
@@ -15,27 +15,15 @@ pub(super) fn parse(file: &str, bytes: &[u8]) -> Result<TriangleMesh, ImportErro
     let mut faces: Vec<(usize, Vec<u32>)> = Vec::new();
     while let Some(raw) = lines.next_line() {
         let line = lines.line;
-        let wrong = |value: &[u8], problem: &str| ImportError::Value {
-            file: file.to_owned(),
-            place: format!("line {line}"),
-            value: shown(value),
-            problem: problem.to_owned(),
-        };
+        let wrong = |value: &[u8], problem: &str| wrong_in_line(file, line, value, problem);
         let content = raw.split(|b| *b == b'#').next().unwrap_or_default();
         let mut words = content
             .split(u8::is_ascii_whitespace)
             .filter(|word| !word.is_empty());
         match words.next() {
             Some(b"v") => {
-                let mut coordinates = [0.0; 3];
-                for coordinate in &mut coordinates {
-                    let word = words
-                        .next()
-                        .ok_or_else(|| wrong(raw, "has less than 3 coordinates"))?;
-                    *coordinate = number_of(word).ok_or_else(|| wrong(word, "is no number"))?;
-                }
                 mesh.positions
-                    .push(vertex(file, || format!("line {line}"), coordinates)?);
+                    .push(vertex_in_line(file, line, raw, &mut words)?);
             }
             Some(b"f") => {
                 let mut corners = Vec::new();

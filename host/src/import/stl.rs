@@ -1,9 +1,9 @@
 //! Meshes from STL, binary and text. Vertices of equal coordinates are joined; facet normals are passed over
 //! (the order of the corners says the same).
 
-use super::{ImportError, joined, vertex};
+use super::{ImportError, joined, vertex, vertex_in_line, wrong_in_line};
 use crate::mesh::TriangleMesh;
-use crate::ply::{Lines, number_of, shown};
+use crate::ply::Lines;
 
 /// Whether the length fits the number of triangles after the 80-byte comment.
 pub(super) fn detect_binary(bytes: &[u8]) -> bool {
@@ -66,26 +66,14 @@ fn parse_text(file: &str, bytes: &[u8]) -> Result<TriangleMesh, ImportError> {
     let mut in_loop = 0;
     while let Some(raw) = lines.next_line() {
         let line = lines.line;
-        let wrong = |value: &[u8], problem: &str| ImportError::Value {
-            file: file.to_owned(),
-            place: format!("line {line}"),
-            value: shown(value),
-            problem: problem.to_owned(),
-        };
+        let wrong = |value: &[u8], problem: &str| wrong_in_line(file, line, value, problem);
         let mut words = raw
             .split(u8::is_ascii_whitespace)
             .filter(|word| !word.is_empty());
         match words.next() {
             Some(b"vertex") => {
-                let mut coordinates = [0.0; 3];
-                for coordinate in &mut coordinates {
-                    let word = words
-                        .next()
-                        .ok_or_else(|| wrong(raw, "has less than 3 coordinates"))?;
-                    *coordinate = number_of(word).ok_or_else(|| wrong(word, "is no number"))?;
-                }
                 mesh.positions
-                    .push(vertex(file, || format!("line {line}"), coordinates)?);
+                    .push(vertex_in_line(file, line, raw, &mut words)?);
                 in_loop += 1;
             }
             Some(b"endloop") => {
