@@ -135,7 +135,7 @@
     c.forces.push([newtons, valid]);
     if (c.forces.length > HISTORY) c.forces.shift();
     graph(c);
-    c.valid.textContent = `${finger.valid} valid of ${finger.contacts}${finger.valid_share === null ? "" : `, ${(100 * finger.valid_share).toFixed(0)} % now`}${valid ? `, ±${short(touch.sigma_mm)} mm` : ""}`;
+    c.valid.textContent = `${finger.valid} valid of ${finger.contacts}${finger.valid_share === null ? "" : `, ${(100 * finger.valid_share).toFixed(0)} % now`}${valid ? `, ±${short(touch.sigma_mm)}\u00a0mm` : ""}`;
     c.why.textContent = touch && !touch.valid ? `not valid: ${touch.reasons.join(", ")}` : "touching";
     const trouble = finger.lost + finger.bad + finger.reconnects + finger.reboots;
     c.link.classList.toggle("worse", trouble > 0);
@@ -166,7 +166,7 @@
 
   // --- the stream ----------------------------------------------------------------------------------------
   const colours = new Uint8Array(bytes(cividis));
-  by("legend-bar").style.background = `linear-gradient(90deg, ${Array.from({ length: 9 }, (_, i) => { const at = 3 * Math.round(i * 255 / 8); return `rgb(${colours[at]} ${colours[at + 1]} ${colours[at + 2]})`; })})`;
+  by("legend-bar").style.background = ramp(colours);
   const stream = new EventSource("/events");
   const listen = (name, take) => stream.addEventListener(name, (event) => {
     take(JSON.parse(event.data));
