@@ -1,10 +1,16 @@
 //! Writes a cloud as a PLY point file: what `palpus points` yields and `palpus reconstruct` takes.
+//!
+//! PLY has no names for sigma and time that all programs know: CloudCompare takes what is called `scalar_…`, and as
+//! `f32`, in which microseconds since the Unix epoch are two minutes apart; MeshLab takes `quality`. Two ways were weighed:
+//! to call our own columns so (nothing twice, but names that say little, and no exact time), or to add columns for
+//! those programs. The second was taken; the reader does not heed them.
 
 use super::Cloud;
 use std::io::{self, Write};
 
 /// Writes the points as binary little-endian PLY: `double x y z nx ny nz`, and `double sigma`,
-/// `ushort finger`, `double time_us` if any point has one.
+/// `ushort finger`, `double time_us` if any point has one. For viewers then follow, as `float`, `quality` and
+/// `scalar_sigma` (both sigma), `scalar_finger` and `scalar_time` (seconds since the first point).
 ///
 /// `double` holds microseconds since the Unix epoch exactly (PLY has no 64-bit integer). A point without
 /// `sigma` or `time_us` gets NaN there, one without `finger` 65535. Reading the file back yields the same
@@ -34,7 +40,17 @@ pub fn write_ply(cloud: &Cloud, out: &mut impl Write) -> io::Result<()> {
     if any_time {
         writeln!(out, "property double time_us")?;
     }
+    let for_viewers = [
+        ("quality", any_sigma),
+        ("scalar_sigma", any_sigma),
+        ("scalar_finger", any_finger),
+        ("scalar_time", any_time),
+    ];
+    for (name, _) in for_viewers.iter().filter(|(_, any)| *any) {
+        writeln!(out, "property float {name}")?;
+    }
     writeln!(out, "end_header")?;
+    let first_us = cloud.points.iter().filter_map(|p| p.time_us).min();
     for point in &cloud.points {
         for value in point.position.iter().chain(point.normal.iter()) {
             out.write_all(&value.to_le_bytes())?;
@@ -48,6 +64,17 @@ pub fn write_ply(cloud: &Cloud, out: &mut impl Write) -> io::Result<()> {
         if any_time {
             let time = point.time_us.map_or(f64::NAN, |time| time as f64);
             out.write_all(&time.to_le_bytes())?;
+        }
+        let sigma = point.sigma.map_or(f32::NAN, |sigma| sigma as f32);
+        let finger = point.finger.map_or(f32::NAN, f32::from);
+        let since = point.time_us.zip(first_us);
+        let time = since.map_or(f32::NAN, |(t, first)| {
+            (1e-6 * (t as f64 - first as f64)) as f32
+        });
+        for (value, (_, any)) in [sigma, sigma, finger, time].iter().zip(for_viewers) {
+            if any {
+                out.write_all(&value.to_le_bytes())?;
+            }
         }
     }
     Ok(())
@@ -75,6 +102,13 @@ mod tests {
         let mut bytes = Vec::new();
         write_ply(&cloud, &mut bytes).unwrap();
         let read = from_bytes("a.ply", &bytes).unwrap();
+        // The last number of the last point: three microseconds after the first.
+        let last = bytes[bytes.len() - 4..].try_into().unwrap();
+        assert!((f32::from_le_bytes(last) - 3e-6).abs() < 1e-12);
+        let header = String::from_utf8_lossy(&bytes[..600]).into_owned();
+        for name in ["quality", "scalar_sigma", "scalar_finger", "scalar_time"] {
+            assert!(header.contains(&format!("property float {name}\n")));
+        }
         for (a, b) in cloud.points.iter().zip(&read.points) {
             assert!((a.normal - b.normal).norm() < 1e-15);
             assert_eq!(

@@ -1,7 +1,8 @@
 //! Triangles as binary little-endian PLY, for MeshLab, CloudCompare and every mesh library.
 //!
 //! Element `vertex`: `double x y z`, `float nx ny nz`, and `float sigma` (standard deviation of the position)
-//! where the surface knows it. Where it was asked for its curvature, also `float mean_curvature gauss_curvature` and, as
+//! where the surface knows it, followed by the same as `quality` and `scalar_sigma`, the names that MeshLab and
+//! CloudCompare take for a number to colour by. Where it was asked for its curvature, also `float mean_curvature gauss_curvature` and, as
 //! `uchar red green blue`, the mean curvature as a colour (orange bends outwards, blue inwards). Element `face`: `list uchar int vertex_indices`.
 //!
 //! A vertex of PLY has one normal. Two ways were weighed for the points of a crease, which have one per side:
@@ -13,6 +14,9 @@ use super::colour::{curvature_shares, srgb};
 use super::weld::Welded;
 use crate::Vec3;
 use crate::spline::SampledSurface;
+
+/// What sigma is called: by us, by MeshLab, by CloudCompare.
+const SIGMA_NAMES: [&str; 3] = ["sigma", "quality", "scalar_sigma"];
 
 /// The file's content.
 pub fn encode(sampled: &SampledSurface) -> Vec<u8> {
@@ -34,7 +38,9 @@ pub fn encode(sampled: &SampledSurface) -> Vec<u8> {
         header += &format!("property float {name}\n");
     }
     if has_sigma {
-        header += "property float sigma\n";
+        for name in SIGMA_NAMES {
+            header += &format!("property float {name}\n");
+        }
     }
     let shares = curvature_shares(sampled);
     if !shares.is_empty() {
@@ -60,7 +66,9 @@ pub fn encode(sampled: &SampledSurface) -> Vec<u8> {
             out.extend((*value as f32).to_le_bytes());
         }
         if has_sigma {
-            out.extend((sampled.sigma[*first as usize] as f32).to_le_bytes());
+            for _ in SIGMA_NAMES {
+                out.extend((sampled.sigma[*first as usize] as f32).to_le_bytes());
+            }
         }
         if let Some(share) = shares.get(*first as usize) {
             for value in sampled.curvature[*first as usize] {

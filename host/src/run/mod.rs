@@ -6,7 +6,7 @@
 //! |---|---|
 //! | attachment `hand/…` | the hand file the run was captured with, bytes as they are |
 //! | metadata `palpus.run` | format version, protocol, start, units, fingers |
-//! | metadata `palpus.identity` | what a board said of itself, once per connection |
+//! | metadata `palpus.identity/1`, `/2`, … | what a board said of itself, once per connection |
 //! | `/FINGER/wire` | `palpus.WireFrame`: every accepted frame, untouched |
 //! | `/FINGER/points` | `foxglove.PointCloud`: valid contacts in the world (m), ten clouds a second, for viewers |
 //! | `/FINGER/clock` | `palpus.RoundTrip`: what the clock alignment was computed from |
@@ -37,6 +37,9 @@ pub mod writer;
 
 use std::path::PathBuf;
 use std::time::Duration;
+
+/// What the names of the metadata records of boards begin with.
+const IDENTITY: &str = "palpus.identity";
 
 /// Longest time between two flushes of a run that is being written.
 pub const FLUSH_EVERY: Duration = Duration::from_millis(250);

@@ -93,7 +93,7 @@ impl Run {
                 Record::Header { profile: found, .. } => profile = Some(found),
                 Record::Channel { id, topic } => drop(topics.insert(id, topic)),
                 Record::Metadata { name, entries } if name == "palpus.run" => run.about = entries,
-                Record::Metadata { name, entries } if name == "palpus.identity" => {
+                Record::Metadata { name, entries } if name.starts_with(super::IDENTITY) => {
                     run.identities.push(entries);
                 }
                 Record::Attachment { name, data } => {

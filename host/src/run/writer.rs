@@ -181,6 +181,8 @@ pub struct RunWriter<W: Durable> {
     fingers: Vec<Channels>,
     events: u16,
     sequence: BTreeMap<u16, u32>,
+    /// What boards have said of themselves so far, in number.
+    identities: u32,
     written: Arc<AtomicU64>,
     safe_bytes: u64,
     last_flush: Instant,
@@ -270,6 +272,7 @@ impl<W: Durable> RunWriter<W> {
             fingers: Vec::new(),
             events: 0,
             sequence: BTreeMap::new(),
+            identities: 0,
             written,
             safe_bytes: 0,
             last_flush: Instant::now(),
@@ -333,12 +336,15 @@ impl<W: Durable> RunWriter<W> {
         self.safe_bytes
     }
 
-    /// Keeps what a board said of itself; `about` should hold the finger's name under `finger`.
+    /// Keeps what a board said of itself; `about` should hold the finger's name under `finger`. The records are
+    /// numbered, since other readers take two of one name for one.
     ///
     /// # Errors
     /// [`RunError::Write`], as for everything that writes.
     pub fn identity(&mut self, about: BTreeMap<String, String>) -> Result<(), RunError> {
-        self.metadata("palpus.identity", about)
+        self.identities += 1;
+        let name = format!("{}/{}", super::IDENTITY, self.identities);
+        self.metadata(&name, about)
     }
 
     /// Keeps one frame of finger number `finger` as it came: received at `received_ns`, its sample taken at
