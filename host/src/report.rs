@@ -96,7 +96,7 @@ pub struct PhaseFigures {
     /// Rounds of fitting (fit).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rounds: Option<usize>,
-    /// Levels of refinement (refine).
+    /// Levels of refinement in the surface that is kept (refine).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub levels: Option<usize>,
     /// Sum of squared distances (eq. 5 of the paper).
@@ -111,6 +111,24 @@ pub struct PhaseFigures {
     /// Largest distance.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error_max: Option<f64>,
+    /// Every level that was tried (refine), from level 0, which is the fit's; the one that is kept is `levels`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub by_level: Vec<LevelFigures>,
+}
+
+/// One level of refinement.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LevelFigures {
+    /// Which, from 0.
+    pub level: usize,
+    /// Patches.
+    pub patches: usize,
+    /// Sum of squared distances.
+    pub error_sum: f64,
+    /// Root mean square distance.
+    pub error_rms: f64,
+    /// Largest distance.
+    pub error_max: f64,
 }
 
 /// The finished surface.
@@ -236,6 +254,7 @@ mod tests {
                     patches: Some(3),
                     levels: Some(2),
                     error_sum: Some(1e-3),
+                    by_level: vec![LevelFigures::default()],
                     ..Default::default()
                 },
             ],
@@ -266,7 +285,14 @@ mod tests {
             "input phases surface error normals seconds threads version",
         );
         has("/input", "points used rejected bbox_diagonal noise_sigma");
-        has("/phases/1", "name seconds patches levels error_sum");
+        has(
+            "/phases/1",
+            "name seconds patches levels error_sum by_level",
+        );
+        has(
+            "/phases/1/by_level/0",
+            "level patches error_sum error_rms error_max",
+        );
         has(
             "/surface",
             "patches degree vertices euler genus components borders crease_edges g1_max_degrees min_jacobian",

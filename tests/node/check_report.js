@@ -17,6 +17,9 @@ check(async (page) => {
   const seen = { layers: [], title: await page.evaluate("document.title") };
   await shot("light", true);
 
+  // Charts, each with its numbers in words for those who do not see them.
+  seen.charts = await page.evaluate("[...document.querySelectorAll('.charts svg')].map((chart) => chart.getAttribute('aria-label'))");
+
   // Every layer changes the picture, and back.
   const inputs = await page.evaluate("[...document.querySelectorAll('#layers input')].map((i) => ({ kind: i.type, group: i.name, name: i.value, on: i.checked }))");
   for (const group of ["body", "surface", "points"]) {
@@ -33,6 +36,7 @@ check(async (page) => {
       if (input !== first) await shot(`${group}-${input.name.replace(/[^a-z0-9]+/gi, "-")}`);
     }
     assert.equal(sums.size, all.length, `every choice of ${group} looks different`);
+    if (group === "body") assert.equal(await page.evaluate("document.querySelectorAll('#layers :disabled').length"), 0, "all layers can be used with the surface");
   }
   for (const input of inputs.filter((i) => i.kind === "checkbox")) {
     const before = await page.drawn();

@@ -81,7 +81,12 @@ fn surface(cloud: &Cloud, tolerance: f64) -> Surface {
         ..Options::default()
     };
     let made = reconstruct(cloud, &options, &|_| {}).expect("contacts of an object");
-    made.surface.expect("a surface")
+    let surface = made.surface.expect("a surface");
+    // The figures are those of the surface as it is handed out, in its unit of length.
+    let told = made.report.surface.expect("figures").curvature_jump_rms;
+    let measured = surface.measure().expect("a surface").curvature_jump_rms;
+    assert!((told.expect("a jump") / measured - 1.0).abs() < 0.01);
+    surface
 }
 
 fn changes(object: &str, points: &PointSet) {

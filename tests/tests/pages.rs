@@ -23,6 +23,16 @@ fn report_page_can_be_clicked_through() {
     let mut arguments = vec![folder.path().join("page.html")];
     arguments.extend(std::env::var_os("PALPUS_TEST_SCREENSHOTS").map(Into::into));
     let seen = browser::run("check_report.js", &arguments);
+    let charts = seen["charts"].to_string();
+    for chart in [
+        "Distances of the points: 700 values",
+        "Angles between normals",
+        "Error from phase to phase: extract",
+        "Error from level to level: level 0 with",
+        "Time per phase",
+    ] {
+        assert!(charts.contains(chart), "{chart}: {charts}");
+    }
     let layers = seen["layers"].to_string();
     for layer in [
         "extracted mesh",

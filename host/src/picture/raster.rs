@@ -13,7 +13,7 @@ use super::camera::{Camera, Seen};
 use super::colour::{Colour, Srgb};
 use super::image::Image;
 use super::scene::{Paint, Scene};
-use super::shade::{Occlusion, background, shade, strip_lights};
+use super::shade::{Occlusion, background, shade, shade_evenly, strip_lights};
 use crate::Vec3;
 
 /// Pixels along a tile's side.
@@ -35,7 +35,28 @@ struct Facet {
     vertices: [u32; 3],
     flat: Option<[f32; 3]>,
     inside: Colour,
-    reflects: bool,
+    light: Light,
+}
+
+/// In what light a triangle is seen.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Light {
+    /// Lamps, as for a thing on a table.
+    Lamps,
+    /// Light that leaves colours that stand for numbers as they are, on either side.
+    Even,
+    /// Strip lights that are mirrored.
+    Strips,
+}
+
+impl Light {
+    fn of(paint: &Paint) -> Self {
+        match paint {
+            Paint::Scalar { .. } => Self::Even,
+            Paint::Reflections => Self::Strips,
+            Paint::Plain(_) | Paint::Each(_) => Self::Lamps,
+        }
+    }
 }
 
 struct Ball {
@@ -150,7 +171,7 @@ impl<'a> Prepared<'a> {
                     vertices: triangle.map(|v| v + first),
                     flat,
                     inside: body.inside.into(),
-                    reflects: body.paint == Paint::Reflections,
+                    light: Light::of(&body.paint),
                 });
             }
         }
@@ -341,7 +362,7 @@ impl<'a> Prepared<'a> {
             .unwrap_or_else(|| [0, 1, 2].map(|i| blend(&|v| v.normal[i])));
         // The facet's own winding tells which side is seen; the normal then faces the viewer.
         let from_outside = plane.counter_clockwise;
-        let colour = if from_outside {
+        let colour = if from_outside || facet.light == Light::Even {
             Colour([0, 1, 2].map(|i| blend(&|v| v.colour.0[i])))
         } else {
             facet.inside
@@ -417,10 +438,11 @@ impl<'a> Prepared<'a> {
                         colours[sample] = ground;
                         continue;
                     }
-                    let reflects = self
+                    let light = self
                         .facets
                         .get(what as usize)
-                        .is_some_and(|facet| facet.reflects);
+                        .map_or(Light::Lamps, |facet| facet.light);
+                    let reflects = light == Light::Strips;
                     // Stripes have edges within a facet, so each sample asks anew.
                     if what != last.0 || reflects {
                         let (x, y) = place(row + dy, column + dx);
@@ -432,10 +454,12 @@ impl<'a> Prepared<'a> {
                                     .unsee(Seen { x, y, nearness }, self.width, self.height);
                             colour = strip_lights(normal, self.camera.gaze(at), colour);
                         }
-                        last = (
-                            what,
-                            shade(normal, colour, occlusion.open_at(x, y, nearness)),
-                        );
+                        let open = occlusion.open_at(x, y, nearness);
+                        let lit = match light {
+                            Light::Even => shade_evenly(normal, colour, open),
+                            Light::Lamps | Light::Strips => shade(normal, colour, open),
+                        };
+                        last = (what, lit);
                     }
                     colours[sample] = last.1;
                 }

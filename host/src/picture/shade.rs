@@ -18,6 +18,9 @@ const STRENGTH: f32 = 1.5;
 /// Turns of the spiral on which the places lie; has no common divisor with [`LOOKS`].
 const TURNS: f32 = 7.0;
 
+/// Where the main lamp stands, above left, in view space.
+const MAIN_LAMP: [f32; 3] = [-0.4364, 0.6547, 0.6172];
+
 /// Colour of the ground at a height of the picture, 0 above to 1 below.
 pub(super) fn background(height: f32) -> Colour {
     let above = Colour([1.0, 1.0, 1.0]);
@@ -28,16 +31,24 @@ pub(super) fn background(height: f32) -> Colour {
 /// Colour of a surface with a unit normal in view space and the given openness (0 hidden, 1 open).
 pub(super) fn shade(normal: [f32; 3], colour: Colour, open: f32) -> Colour {
     let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    // Unit vectors: main lamp above left, fill lamp from the right.
-    let main = [-0.4364, 0.6547, 0.6172];
+    // The fill lamp stands on the right.
     let fill = [0.8321, 0.0555, 0.5518];
-    let wrapped = ((dot(normal, main) + 0.18) / 1.18).max(0.0);
+    let wrapped = ((dot(normal, MAIN_LAMP) + 0.18) / 1.18).max(0.0);
     let lamps = 0.60 * wrapped * (0.35 + 0.65 * open) + 0.13 * dot(normal, fill).max(0.0);
     let ambient = (0.33 + 0.09 * normal[1]) * open;
     // Halfway between lamp and viewer, for a soft highlight.
     let half = [-0.2426, 0.3640, 0.8992];
     let gloss = 0.07 * dot(normal, half).max(0.0).powi(48) * open;
     Colour(colour.0.map(|x| x * (lamps + ambient) + gloss))
+}
+
+/// Colour of a surface whose colour stands for a number: its shape shows, but no highlight and no deep shade gives the
+/// colour a false hue.
+pub(super) fn shade_evenly(normal: [f32; 3], colour: Colour, open: f32) -> Colour {
+    let lamp: f32 = normal.iter().zip(&MAIN_LAMP).map(|(n, l)| n * l).sum();
+    let wrapped = ((lamp + 0.18) / 1.18).max(0.0);
+    let light = (0.74 + 0.26 * wrapped) * (0.7 + 0.3 * open);
+    Colour(colour.0.map(|x| x * light))
 }
 
 /// Colour of a polished surface among strip lights that run from left to right: `light` where it mirrors a light,
@@ -184,4 +195,23 @@ fn smoothed(raw: &[f32], nearness: &[f32], width: usize, height: usize) -> Vec<f
     pass(&across, width, &|pixel| {
         (pixel / width, height - 1 - pixel / width)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_that_stand_for_numbers_keep_their_hue() {
+        let colour = Colour([0.5, 0.2, 0.05]);
+        // Towards the lamp, the viewer, away from both; open and in a hollow.
+        for normal in [MAIN_LAMP, [0.0, 0.0, 1.0], [0.6, -0.8, 0.0]] {
+            for open in [0.0, 1.0] {
+                let Colour(lit) = shade_evenly(normal, colour, open);
+                let share = lit[0] / colour.0[0];
+                assert!((0.5..=1.001).contains(&share), "{share}");
+                assert!((lit[2] / colour.0[2] - share).abs() < 1e-6);
+            }
+        }
+    }
 }

@@ -310,7 +310,7 @@ impl Stages<'_> {
         let high = quantile(&sizes, 0.95);
         let mut mapped = caption(
             "Mean curvature",
-            "brown bends outwards, blue inwards".to_owned(),
+            "brown bends outwards, blue inwards; it jumps a little where patches meet".to_owned(),
         );
         mapped.legend = Some(Legend {
             label: match mapped.unit.as_str() {

@@ -18,7 +18,7 @@ use crate::Vec3;
 use crate::cloud::{Cloud, Neighbourhoods};
 use crate::mesh::TriangleMesh;
 use crate::report::{
-    ErrorFigures, InputFigures, NormalFigures, PhaseFigures, Report, SurfaceFigures,
+    ErrorFigures, InputFigures, LevelFigures, NormalFigures, PhaseFigures, Report, SurfaceFigures,
 };
 use crate::spline::chart::Chart;
 use crate::spline::edges::EdgeTable;
@@ -390,11 +390,17 @@ fn run(
         progress(Progress::Phase("refine"));
         let started = Instant::now();
         let project = |x: &Vec3| extracted.field.project(x);
-        let (refined, levels, why) =
-            refine(last, &data, &surfacing, &project, |level, patches| {
-                progress(Progress::Level(level, patches));
-            })?;
-        out.report.phases.push(phase_with_errors(
+        let level_of = |level, fitted: &Fitted| {
+            let distances = distances(&data, &fitted.feet).map(|d| d * frame.scale);
+            level_figures(level, fitted.base.faces.len(), distances)
+        };
+        let mut by_level = vec![level_of(0, &last)];
+        let (refined, levels, why) = refine(last, &data, &surfacing, &project, |level, fitted| {
+            let figures = level_of(level, fitted);
+            progress(Progress::Level(level, figures.patches));
+            by_level.push(figures);
+        })?;
+        let figures = phase_with_errors(
             "refine",
             started,
             &refined,
@@ -402,7 +408,11 @@ fn run(
             frame.scale,
             None,
             Some(levels),
-        ));
+        );
+        out.report.phases.push(PhaseFigures {
+            by_level,
+            ..figures
+        });
         end = Some(why);
         last = refined;
     }
@@ -812,6 +822,23 @@ fn phase_with_errors(
         error_abs_sum: Some(figures.abs_sum),
         error_rms: Some(figures.rms),
         error_max: Some(figures.max),
+        by_level: Vec::new(),
+    }
+}
+
+/// A level of refinement, from the distances it leaves.
+pub(super) fn level_figures(
+    level: usize,
+    patches: usize,
+    distances: impl Iterator<Item = f64>,
+) -> LevelFigures {
+    let figures = figures(distances);
+    LevelFigures {
+        level,
+        patches,
+        error_sum: figures.sum,
+        error_rms: figures.rms,
+        error_max: figures.max,
     }
 }
 
@@ -846,7 +873,14 @@ fn finish(
         .map(|v| extracted.field.confidence(v))
         .collect();
     let measures = last.surface.measure()?;
-    out.report.surface = Some(SurfaceFigures::of(&last.surface, &measures));
+    let mut surface_figures = SurfaceFigures::of(&last.surface, &measures);
+    for jump in [
+        &mut surface_figures.curvature_jump_max,
+        &mut surface_figures.curvature_jump_rms,
+    ] {
+        *jump = jump.map(|jump| jump / frame.scale);
+    }
+    out.report.surface = Some(surface_figures);
     out.report.error = Some(figures(
         distances(data, &last.feet).map(|d| d * frame.scale),
     ));

@@ -98,7 +98,7 @@ pub enum RefineEnd {
 }
 
 /// Refines until the tolerance holds or a stated limit is met. Returns the surface, the levels used and why
-/// it ended. `project` takes a point near the surface onto it.
+/// it ended. `project` takes a point near the surface onto it; `progress` hears of every level that was fitted.
 ///
 /// # Errors
 /// As [`fit_base`].
@@ -107,7 +107,7 @@ pub fn refine(
     data: &[Datum],
     options: &SurfacingOptions,
     project: &dyn Fn(&Vec3) -> Option<Vec3>,
-    mut progress: impl FnMut(usize, usize),
+    mut progress: impl FnMut(usize, &Fitted),
 ) -> Result<(Fitted, usize, RefineEnd), SurfacingError> {
     let mut data = data.to_vec();
     let level_fit = FitOptions {
@@ -155,7 +155,7 @@ pub fn refine(
         }
         current = fit_base(next, &data, &level_fit)?;
         levels += 1;
-        progress(levels, faces);
+        progress(levels, &current);
     };
     match best {
         Some((_, fitted, levels)) => Ok((fitted, levels, end)),

@@ -1,11 +1,14 @@
-//! Charts of the report page as plain SVG: histograms of the residuals, errors from phase to phase.
+//! Charts of the report page as plain SVG: histograms of the residuals, errors from phase to phase and from level to
+//! level of refinement.
 
 use std::fmt::Write as _;
 
 use super::super::lettering::{round_length, short_number};
 use super::super::stages::{Foot, quantile};
 use super::super::web::escaped;
-use crate::report::Report;
+use super::Page;
+use crate::mesh::{AabbTree, TriangleMesh};
+use crate::report::{LevelFigures, Report};
 
 const WIDTH: f64 = 360.0;
 const HEIGHT: f64 = 200.0;
@@ -14,8 +17,13 @@ const BASE: f64 = 168.0;
 const TOP: f64 = 14.0;
 
 /// All charts there are data for, in one row; empty without data.
-pub(super) fn charts(report: Option<&Report>, feet: &[Foot], tolerance: Option<f64>) -> String {
+pub(super) fn charts(page: &Page<'_>, feet: &[Foot]) -> String {
     let mut out = String::new();
+    let tolerance = page.tolerance();
+    let in_unit = |meaning: &str| match page.unit() {
+        "" => meaning.to_owned(),
+        unit => format!("{meaning}, {unit}"),
+    };
     let distances: Vec<f64> = feet
         .iter()
         .map(|foot| foot.distance)
@@ -24,7 +32,7 @@ pub(super) fn charts(report: Option<&Report>, feet: &[Foot], tolerance: Option<f
     if !distances.is_empty() {
         out.push_str(&histogram(
             "Distances of the points",
-            "how many points lie how far from the surface",
+            &in_unit("how many points lie how far from the surface"),
             &distances,
             tolerance.map(|tolerance| (tolerance, "tolerance")),
         ));
@@ -40,17 +48,21 @@ pub(super) fn charts(report: Option<&Report>, feet: &[Foot], tolerance: Option<f
             None,
         ));
     }
-    if let Some(report) = report {
-        let errors: Vec<(&str, f64)> = report
-            .phases
-            .iter()
-            .filter_map(|phase| Some((phase.name.as_str(), phase.error_rms?)))
-            .collect();
+    if let Some(report) = page.report {
+        let errors = phase_errors(page, report);
         if errors.len() > 1 {
             out.push_str(&bars(
                 "Error from phase to phase",
-                "root mean square distance of the points",
+                &in_unit("root mean square distance of the points"),
                 &errors,
+            ));
+        }
+        for phase in report.phases.iter().filter(|p| !p.by_level.is_empty()) {
+            out.push_str(&levels(
+                &in_unit("distances of the points"),
+                &phase.by_level,
+                phase.levels,
+                tolerance,
             ));
         }
         let seconds: Vec<(&str, f64)> = report
@@ -66,6 +78,32 @@ pub(super) fn charts(report: Option<&Report>, feet: &[Foot], tolerance: Option<f
         return out;
     }
     format!("<div class=\"charts\">{out}</div>")
+}
+
+/// The error after each phase: as reported, or, for the two meshes, taken here from the same points.
+fn phase_errors<'a>(page: &Page<'_>, report: &'a Report) -> Vec<(&'a str, f64)> {
+    let of_mesh = |mesh: Option<&TriangleMesh>| {
+        let (mesh, cloud) = (mesh?, page.cloud?);
+        let outliers = report.error.as_ref().map(|e| e.outlier_points.as_slice());
+        let tree = AabbTree::new(mesh);
+        let squares: Vec<f64> = (0..)
+            .zip(&cloud.points)
+            .filter(|(number, _)| outliers.is_none_or(|o| o.binary_search(number).is_err()))
+            .filter_map(|(_, point)| Some(tree.closest(mesh, &point.position)?.distance.powi(2)))
+            .collect();
+        let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+        rms.is_finite().then_some(rms)
+    };
+    let error = |name: &str| match name {
+        "extract" => of_mesh(page.extracted),
+        "simplify" => of_mesh(page.simplified),
+        _ => None,
+    };
+    let phases = report.phases.iter().filter_map(|phase| {
+        let rms = phase.error_rms.or_else(|| error(&phase.name))?;
+        Some((phase.name.as_str(), rms))
+    });
+    phases.collect()
 }
 
 fn open(title: &str, meaning: &str, label: &str) -> String {
@@ -180,6 +218,174 @@ fn bars(title: &str, meaning: &str, values: &[(&str, f64)]) -> String {
         out,
         "<path class=\"axis\" d=\"M{LEFT} {BASE}H{}\"/>",
         WIDTH - 14.0
+    );
+    out.push_str("</svg></figure>");
+    out
+}
+
+/// One line of a chart over levels.
+struct Series {
+    name: &'static str,
+    /// What the style sheet calls it.
+    class: &'static str,
+    value: fn(&LevelFigures) -> f64,
+}
+
+/// Root mean square and largest distance of every level on a logarithmic scale; the level that is `kept` is filled.
+fn levels(
+    meaning: &str,
+    levels: &[LevelFigures],
+    kept: Option<usize>,
+    tolerance: Option<f64>,
+) -> String {
+    const RIGHT: f64 = 62.0;
+    const FLOOR: f64 = BASE - 16.0;
+    let series = [
+        Series {
+            name: "largest",
+            class: "most",
+            value: |level| level.error_max,
+        },
+        Series {
+            name: "rms",
+            class: "rms",
+            value: |level| level.error_rms,
+        },
+    ];
+    let values = series
+        .iter()
+        .flat_map(|one| levels.iter().map(one.value))
+        .chain(tolerance)
+        .filter(|value| value.is_finite() && *value > 0.0);
+    let (low, high) = values.fold((f64::INFINITY, 0.0_f64), |(low, high), value| {
+        (low.min(value), high.max(value))
+    });
+    // Whole decades and their halves would waste room: a tenth of a decade around what there is.
+    let (low, high) = if low <= high {
+        (low.log10() - 0.1, high.log10() + 0.1)
+    } else {
+        (-1.0, 1.0)
+    };
+    let y = |value: f64| {
+        let share = ((value.max(1e-300).log10() - low) / (high - low)).clamp(0.0, 1.0);
+        FLOOR - share * (FLOOR - TOP)
+    };
+    let slot = (WIDTH - LEFT - RIGHT) / levels.len() as f64;
+    let x = |number: usize| LEFT + slot * (number as f64 + 0.5);
+    let said: Vec<String> = levels
+        .iter()
+        .map(|level| {
+            format!(
+                "level {} with {} patches rms {}, largest {}{}",
+                level.level,
+                level.patches,
+                short_number(level.error_rms),
+                short_number(level.error_max),
+                if kept == Some(level.level) {
+                    ", kept"
+                } else {
+                    ""
+                }
+            )
+        })
+        .collect();
+    let title = "Error from level to level";
+    let mut out = open(
+        title,
+        &format!("{meaning}, by level of refinement and its patches; filled: the level kept"),
+        &format!("{title}: {}", said.join("; ")),
+    );
+    for decade in low.floor() as i32..=high.ceil() as i32 {
+        for step in [1.0, 2.0, 5.0] {
+            let value = step * 10_f64.powi(decade);
+            if (low..=high).contains(&value.log10()) && (step == 1.0 || high - low < 1.5) {
+                let _ = write!(
+                    out,
+                    "<path class=\"axis\" d=\"M{LEFT} {at:.1}H{}\"/><text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
+                    WIDTH - RIGHT,
+                    LEFT - 5.0,
+                    y(value) + 4.0,
+                    short_number(value),
+                    at = y(value)
+                );
+            }
+        }
+    }
+    let _ = write!(
+        out,
+        "<path class=\"axis\" d=\"M{LEFT} {TOP}V{FLOOR}H{}\" fill=\"none\"/>",
+        WIDTH - RIGHT
+    );
+    if let Some(tolerance) = tolerance {
+        let at = y(tolerance);
+        let _ = write!(
+            out,
+            "<path class=\"mark\" d=\"M{LEFT} {at:.1}H{}\"/>",
+            WIDTH - RIGHT
+        );
+    }
+    for Series { class, value, .. } in &series {
+        let places = levels.iter().enumerate();
+        let line: Vec<String> = places
+            .clone()
+            .map(|(number, level)| format!("{:.1},{:.1}", x(number), y(value(level))))
+            .collect();
+        let _ = write!(
+            out,
+            "<polyline class=\"{class}\" points=\"{}\"/>",
+            line.join(" ")
+        );
+        for (number, level) in places {
+            let filled = if kept == Some(level.level) {
+                " kept"
+            } else {
+                ""
+            };
+            let _ = write!(
+                out,
+                "<circle class=\"{class}{filled}\" cx=\"{:.1}\" cy=\"{:.1}\" r=\"4\"/>",
+                x(number),
+                y(value(level))
+            );
+        }
+    }
+    // Names beside the right ends, pushed apart where they would overlap.
+    if let Some(last) = levels.last() {
+        let mut names: Vec<(f64, &str, &str)> = series
+            .iter()
+            .map(|one| (y((one.value)(last)), one.name, one.class))
+            .chain(tolerance.map(|tolerance| (y(tolerance), "tolerance", "tolerance")))
+            .collect();
+        names.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut free = TOP;
+        for (at, name, class) in names {
+            let at = at.max(free);
+            free = at + 13.0;
+            let _ = write!(
+                out,
+                "<text class=\"{class}\" x=\"{}\" y=\"{:.1}\">{name}</text>",
+                WIDTH - RIGHT + 4.0,
+                at + 4.0
+            );
+        }
+    }
+    for (number, level) in levels.iter().enumerate() {
+        let _ = write!(
+            out,
+            "<text x=\"{at:.1}\" y=\"{}\" text-anchor=\"middle\">{}</text><text x=\"{at:.1}\" y=\"{}\" text-anchor=\"middle\">{}</text>",
+            FLOOR + 16.0,
+            level.level,
+            FLOOR + 31.0,
+            level.patches,
+            at = x(number)
+        );
+    }
+    let _ = write!(
+        out,
+        "<text x=\"{at}\" y=\"{}\">level</text><text x=\"{at}\" y=\"{}\">patches</text>",
+        FLOOR + 16.0,
+        FLOOR + 31.0,
+        at = WIDTH - RIGHT + 4.0
     );
     out.push_str("</svg></figure>");
     out

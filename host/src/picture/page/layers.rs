@@ -37,6 +37,8 @@ struct Field {
 struct LineLayer {
     name: String,
     on: bool,
+    /// Whether they lie on the surface and are of no use over another body.
+    of_surface: bool,
     width: f64,
     opacity: f64,
     colour: Option<Srgb>,
@@ -82,7 +84,7 @@ impl Page<'_> {
             .into_iter()
             .map(|layer| {
                 let colour = layer.colour.map(|Srgb(rgb)| rgb.map(|x| f64::from(x) / 255.0));
-                json!({"name": layer.name, "on": layer.on, "width": layer.width, "opacity": layer.opacity,
+                json!({"name": layer.name, "on": layer.on, "of_surface": layer.of_surface, "width": layer.width, "opacity": layer.opacity,
                        "colour": colour, "segments": around(&mut layer.segments.into_iter().flatten())})
             })
             .collect();
@@ -190,6 +192,7 @@ impl Page<'_> {
         let layer = |name: &str, width, colour, segments| LineLayer {
             name: name.to_owned(),
             on: false,
+            of_surface: false,
             width,
             opacity: 0.85,
             colour,
@@ -208,6 +211,7 @@ impl Page<'_> {
         let mut layers = vec![
             LineLayer {
                 on: true,
+                of_surface: true,
                 ..layer("patch borders", 1.5, None, edges.inner)
             },
             LineLayer {

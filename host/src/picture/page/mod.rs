@@ -66,7 +66,7 @@ impl Page<'_> {
             feet: &feet,
         };
         let mut body = String::new();
-        body.push_str(&charts::charts(self.report, &feet, self.tolerance()));
+        body.push_str(&charts::charts(self, &feet));
         body.push_str(&facts.figures());
         body.push_str(&facts.phases());
         body.push_str(&facts.origin());

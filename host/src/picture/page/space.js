@@ -5,6 +5,8 @@ const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buff
 const floats = (text) => new Float32Array(bytes(text));
 const short = (x) => (!Number.isFinite(x) ? "–" : x === 0 ? "0" : Math.abs(x) >= 1e-4 && Math.abs(x) < 1e6 ? String(+x.toPrecision(4)) : x.toExponential(2));
 const by = (id) => document.getElementById(id);
+// A colour map from left to right, for a legend.
+const ramp = (colours) => `linear-gradient(90deg, ${Array.from({ length: 9 }, (_, i) => { const at = 3 * Math.round(i * 255 / 8); return `rgb(${colours[at]} ${colours[at + 1]} ${colours[at + 2]})`; })})`;
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
 // A button that turns the page from light to dark and back, whatever the system prefers.
@@ -46,6 +48,11 @@ function openSpace(canvas, hooks) {
       float gloss = .07 * pow(max(0., dot(n, normalize(main + vec3(0, 0, 1)))), 48.);
       vec3 linear = pow(colour, vec3(2.2)) * (lamps + .34 + .09 * n.y) + gloss;
       return pow(linear, vec3(1. / 2.2));
+    }
+    // Colours that stand for numbers: shape shows, but no highlight and no deep shade gives them a false hue.
+    vec3 even(vec3 n, vec3 colour) {
+      float lamp = max(0., (dot(n, normalize(vec3(-.45, .68, .64))) + .18) / 1.18);
+      return colour * pow(.74 + .26 * lamp, 1. / 2.2);
     }`;
   const surfaceProgram = program(`
     in vec3 position; in vec3 normal; in float value;
@@ -65,7 +72,7 @@ function openSpace(canvas, hooks) {
       if (inside) m = -m;
       vec3 base = clay;
       if (mode == 1) base = isnan(v) ? vec3(.78) : texture(map, vec2(clamp((v - low) / (high - low), .002, .998), .5)).rgb;
-      if (inside) base = vec3(.71, .56, .42);
+      if (inside && mode != 1) base = vec3(.71, .56, .42);
       if (mode == 2) {
         vec3 r = reflect(normalize(p), m);
         float s = atan(r.y, r.z) * 12.;
@@ -73,7 +80,7 @@ function openSpace(canvas, hooks) {
         float stripe = smoothstep(-w, w, sin(s) / max(1., abs(cos(s))));
         base = mix(vec3(.12, .16, .2), vec3(.95), stripe);
       }
-      colour = vec4(lit(m, base), 1.);
+      colour = vec4(mode == 1 ? even(m, base) : lit(m, base), 1.);
     }`);
   const lineProgram = program(`
     in vec2 corner; in vec3 from; in vec3 to;

@@ -74,7 +74,8 @@ impl Facts<'_> {
                 );
             }
             if let Some(reason) = &error.reason {
-                let _ = write!(out, " ({})", escaped(reason.trim_end_matches('.')));
+                let why = reason.trim_start_matches("tolerance: ");
+                let _ = write!(out, " ({})", escaped(why.trim_end_matches('.')));
             }
         }
         if self.measures.folded_patches > 0 {
@@ -143,6 +144,17 @@ impl Facts<'_> {
                 "Edges that are meant to be sharp.",
             );
         }
+        if let Some(jump) = self
+            .page
+            .report
+            .and_then(|report| report.surface.as_ref()?.curvature_jump_rms)
+        {
+            row(
+                "Jump of curvature",
+                short_number(jump),
+                "Root mean square jump of the mean curvature across smooth edges, in 1 over the unit of length. Tangent planes agree exactly, curvature only nearly: the curvature picture may show the patches' edges. --fair-curvature makes it small.",
+            );
+        }
         row(
             "Evenness",
             short_number(self.measures.min_jacobian),
@@ -161,10 +173,15 @@ impl Facts<'_> {
                     self.length(error.tolerance),
                     if error.met { "met" } else { "not met" }
                 ),
-                error
-                    .reason
-                    .as_deref()
-                    .unwrap_or("Largest distance any point was allowed."),
+                &match error.reason.as_deref() {
+                    Some(reason) => format!(
+                        "Largest distance any point was allowed; {}.",
+                        reason
+                            .trim_start_matches("tolerance: ")
+                            .trim_end_matches('.')
+                    ),
+                    None => "Largest distance any point was allowed.".to_owned(),
+                },
             );
             row(
                 "Typical distance",

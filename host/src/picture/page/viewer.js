@@ -67,33 +67,46 @@
     if (swatch) {
       const mark = document.createElement("i");
       mark.className = "swatch";
-      mark.style.background = swatch;
+      if (swatch === "edge") mark.classList.add("edge");
+      else mark.style.background = swatch;
       label.append(mark);
     }
     label.append(name);
     by(parent).append(label);
     return input;
   };
-  const rgb = (colour) => (colour ? `rgb(${colour.map((x) => Math.round(255 * x)).join(" ")})` : "var(--edge)");
-  bodies.forEach((one) => choice("bodies", "radio", "body", one.name, one === body, () => { body = one; }));
-  choice("bodies", "radio", "body", "nothing", false, () => { body = null; });
+  const rgb = (colour) => (colour ? `rgb(${colour.map((x) => Math.round(255 * x)).join(" ")})` : "edge");
+  // Lines of the surface are of no use over another body.
+  const show = (one) => {
+    body = one;
+    for (const layer of lines) layer.input.disabled = layer.of_surface && body !== null && body !== bodies[0];
+  };
+  bodies.forEach((one) => choice("bodies", "radio", "body", one.name, one === body, () => show(one)));
+  choice("bodies", "radio", "body", "nothing", false, () => show(null));
   looks.forEach((one) => choice("colours", "radio", "surface", one.name, one === look, () => { look = one; if (one.field) bodies[0].made.paint(one.field.values); }));
   if (points) {
     pointLooks.forEach((one) => choice("points", "radio", "points", one.name, one === pointLook, () => { pointLook = one; points.made.paint(one.values); }));
     choice("points", "radio", "points", "hidden", false, () => { pointLook = null; });
   } else by("points").remove();
-  lines.forEach((layer) => choice("overlays", "checkbox", "overlay", layer.name, layer.on, (on) => { layer.on = on; }, rgb(layer.colour)));
+  for (const layer of lines) layer.input = choice("overlays", "checkbox", "overlay", layer.name, layer.on, (on) => { layer.on = on; }, rgb(layer.colour));
 
+  // What the colours mean: of the surface, of the points, or of both.
+  let told = null;
   const legend = () => {
-    const shown = body === bodies[0] && look.field ? { ...look.field, label: look.field.name, map: maps[look.field.map] } : pointLook && pointLook.label ? pointLook : null;
-    by("legend").hidden = !shown;
-    if (!shown) return;
-    const { colours } = shown.map;
-    const stops = Array.from({ length: 9 }, (_, i) => { const at = 3 * Math.round(i * 255 / 8); return `rgb(${colours[at]} ${colours[at + 1]} ${colours[at + 2]})`; });
-    by("legend-name").textContent = shown.label;
-    by("legend-bar").style.background = `linear-gradient(90deg, ${stops})`;
-    by("legend-low").textContent = short(shown.low);
-    by("legend-high").textContent = short(shown.high);
+    const shown = [];
+    if (body === bodies[0] && look.field) shown.push({ ...look.field, label: look.field.name, map: maps[look.field.map] });
+    if (pointLook && pointLook.label) shown.push(pointLook);
+    const key = shown.map((one) => one.label).join();
+    if (told === key) return;
+    told = key;
+    by("legend").hidden = !shown.length;
+    const part = (kind, text) => { const made = document.createElement("span"); made.className = kind; made.append(text); return made; };
+    by("legend").replaceChildren(...shown.flatMap(({ label, low, high, map: { colours } }) => {
+      const bar = part("bar", ""), ends = part("ends", "");
+      bar.style.background = ramp(colours);
+      ends.append(part("", short(low)), part("", short(high)));
+      return [part("", label), bar, ends];
+    }));
   };
   const paint = (frame) => {
     if (body === bodies[0]) frame.surface(body.made, look.field ? { mode: 1, low: look.field.low, high: look.field.high, map: maps[look.field.map] } : { mode: look.mode });
@@ -102,7 +115,7 @@
       frame.lines(body.edges, body);
     }
     if (pointLook) frame.points(points.made, { radius: points.radius, low: pointLook.low, high: pointLook.high, map: pointLook.map });
-    for (const layer of lines) if (layer.on) frame.lines(layer.made, { width: layer.width, opacity: layer.opacity, colour: layer.colour || undefined });
+    for (const layer of lines) if (layer.on && !(layer.of_surface && body && body !== bodies[0])) frame.lines(layer.made, { width: layer.width, opacity: layer.opacity, colour: layer.colour || undefined });
     legend();
   };
 

@@ -167,7 +167,7 @@ pub fn refine_chart(
     state: ChartState,
     mesh: &TriangleMesh,
     options: &ChartOptions,
-    mut progress: impl FnMut(usize, usize),
+    mut progress: impl FnMut(usize, &FittedChart),
 ) -> Result<(FittedChart, usize, RefineEnd), ChartFitError> {
     let ChartState {
         flat,
@@ -245,7 +245,7 @@ pub fn refine_chart(
         places = refined.places;
         lattice = next;
         levels += 1;
-        progress(levels, current.chart.inner_triangles().len());
+        progress(levels, &current);
     };
     match best {
         Some((_, fitted, levels)) => Ok((fitted, levels, end)),

@@ -2,7 +2,7 @@
 
 use super::{ChartOptions, FittedChart, fit_chart, refine_chart};
 use crate::mesh::TriangleMesh;
-use crate::reconstruct::driver::{ReconstructError, figures, judge};
+use crate::reconstruct::driver::{ReconstructError, figures, judge, level_figures};
 use crate::reconstruct::extract::Extracted;
 use crate::reconstruct::fit::{Datum, Kind};
 use crate::reconstruct::frame::Frame;
@@ -45,7 +45,13 @@ pub(in crate::reconstruct) fn chart_phases(
             error_abs_sum: Some(figures.abs_sum),
             error_rms: Some(figures.rms),
             error_max: Some(figures.max),
+            by_level: Vec::new(),
         }
+    };
+    let level_of = |level, fitted: &FittedChart| {
+        let patches = fitted.chart.inner_triangles().len();
+        let distances = distances(from.data, &fitted.feet).map(|d| d * scale);
+        level_figures(level, patches, distances)
     };
     progress(Progress::Phase("fit"));
     let started = Instant::now();
@@ -57,13 +63,17 @@ pub(in crate::reconstruct) fn chart_phases(
     if from.stop_after == Stage::Refine {
         progress(Progress::Phase("refine"));
         let started = Instant::now();
+        let mut by_level = vec![level_of(0, &last)];
         let (refined, levels, why) =
-            refine_chart(last, state, from.mesh, options, |level, triangles| {
-                progress(Progress::Level(level, triangles));
+            refine_chart(last, state, from.mesh, options, |level, fitted| {
+                let figures = level_of(level, fitted);
+                progress(Progress::Level(level, figures.patches));
+                by_level.push(figures);
             })?;
-        out.report
-            .phases
-            .push(phase("refine", started, &refined, None, Some(levels)));
+        out.report.phases.push(PhaseFigures {
+            by_level,
+            ..phase("refine", started, &refined, None, Some(levels))
+        });
         end = Some(why);
         last = refined;
     }
