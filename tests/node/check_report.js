@@ -72,6 +72,7 @@ check(async (page) => {
   await shot("picked");
 
   // Keyboard.
+  await page.frame();
   const before = await page.drawn();
   await page.evaluate("document.getElementById('view').focus()");
   for (const key of ["ArrowLeft", "ArrowUp", "+"]) await page.key(key);
