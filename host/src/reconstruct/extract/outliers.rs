@@ -23,6 +23,11 @@ const SLOPE: f64 = 0.35;
 const COSINE: f64 = 0.3;
 /// Beyond this many standard deviations a contact has to be confirmed by its neighbours.
 const DEVIATIONS: f64 = 4.5;
+/// Standard deviations below which a contact contradicts nothing, relative to the size and in radians: where contacts
+/// are exact the field's own error is many of theirs (clean bean: 219 of 1229 good contacts were set aside, and its
+/// surface was half as true).
+const LEAST_POSITION_SIGMA: f64 = 1e-4;
+const LEAST_NORMAL_SIGMA: f64 = 8e-3;
 /// If more than this share looks unsupported, the test does not suit the data and nothing is set aside.
 const MOST: f64 = 0.3;
 
@@ -60,6 +65,11 @@ pub(super) fn contradicting(
     field: &BlendedField,
     levels: &Levels,
 ) -> Vec<bool> {
+    let levels = &Levels {
+        position_sigma: levels.position_sigma.max(LEAST_POSITION_SIGMA),
+        normal_sigma: levels.normal_sigma.max(LEAST_NORMAL_SIGMA),
+        ..*levels
+    };
     let found = (0..data.positions.len())
         .into_par_iter()
         .map(|i| {
