@@ -52,9 +52,9 @@ pub struct Args {
     #[arg(long, help_heading = "How close", value_enum, default_value_t = Term::ParameterFree)]
     normal_term: Term,
     /// Bring curvature across the patches' edges together (a network has it continuous only nearly). Optional weight:
-    /// more is fairer and farther from the points.
-    #[arg(long, help_heading = "What surface", value_name = "W", default_value_t = 0.0, num_args = 0..=1, default_missing_value = "1")]
-    fair_curvature: f64,
+    /// more is fairer and farther from the points; 0 leaves it out. Default: a little, by the noise.
+    #[arg(long, help_heading = "What surface", value_name = "W", num_args = 0..=1, default_missing_value = "1")]
+    fair_curvature: Option<f64>,
     /// Most patches.
     #[arg(
         long,
@@ -469,9 +469,7 @@ fn provenance(args: &Args) -> anyhow::Result<Provenance> {
     };
     put("tolerance", args.tolerance.into());
     put("lambda", args.lambda.into());
-    if args.fair_curvature > 0.0 {
-        put("fair-curvature", args.fair_curvature.into());
-    }
+    put("fair-curvature", args.fair_curvature.into());
     put("max-patches", args.max_patches.into());
     put("rounds", args.rounds.into());
     put("max-gap", args.max_gap.into());

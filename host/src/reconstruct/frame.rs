@@ -95,6 +95,13 @@ impl Frame {
         self.axes.tr_mul(&(position - self.centre)) / self.scale
     }
 
+    /// A length in this frame, of 24 bits: like positions, the same whatever the input's unit.
+    pub fn length(&self, length: f64) -> f64 {
+        const HALF: u64 = 1 << 28;
+        let bits = (length / self.scale).to_bits();
+        f64::from_bits(bits.saturating_add(HALF) & !(2 * HALF - 1))
+    }
+
     /// A position back in the input's coordinates.
     pub fn leave(&self, position: Vec3) -> Vec3 {
         self.axes * position * self.scale + self.centre

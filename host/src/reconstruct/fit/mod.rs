@@ -101,7 +101,8 @@ pub struct FitOptions {
     /// Scale beyond which a measured datum counts less (same unit as positions); infinite: never.
     pub outlier_scale: f64,
     /// Weight of the jump of curvature across smooth edges: at 1 the mean squared jump over an edge, as the length by
-    /// which the patches' second derivatives part, counts as much as an edge's share of the data. 0: none.
+    /// which the second derivatives of patches with edges of 0.15 of the size part, counts as much as an edge's share
+    /// of the data. 0: none.
     pub fair_curvature: f64,
 }
 
@@ -315,7 +316,7 @@ impl Fitting<'_> {
             return (Vec::new(), 0.0);
         }
         let total: f64 = weights.iter().sum();
-        let jumps = fairness::jumps(self.network, &self.points);
+        let jumps = fairness::jumps(self.network, &self.points, &self.scales);
         (jumps, strength * total / smooth as f64)
     }
 
