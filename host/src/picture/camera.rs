@@ -78,7 +78,7 @@ pub enum Projection {
 const HALF_ANGLE_DEGREES: f64 = 12.0;
 
 /// Share of the picture's half width and half height that framing fills; what is left above holds two lines of lettering.
-const FILLED: f64 = 0.80;
+const FILLED: f64 = 0.77;
 
 /// A placed camera: what [`Camera::framing`] found for a view, a set of points and a picture's shape.
 #[derive(Clone, Copy, Debug, PartialEq)]
