@@ -198,3 +198,33 @@ fn the_result_scales_with_the_points() {
     // A power of two scales without rounding, so nothing may change at all.
     assert!((ratio / 1024.0 - 1.0).abs() <= 1e-12, "{ratio}");
 }
+
+#[test]
+fn what_would_take_minutes_or_more_memory_than_allowed_is_refused_or_ended() {
+    let folder = tempdir().unwrap();
+    make_points(folder.path(), "bean", CLEAN);
+    let ask = |line: &str| {
+        let mut words = vec!["reconstruct", "p.ply", "--json"];
+        words.extend(line.split(' '));
+        palpus(folder.path(), &words)
+    };
+    for (line, said) in [
+        ("--lambda 1e30", "lambda"),
+        ("--rounds 1000", "1 to 100"),
+        ("--rounds 0", "1 to 100"),
+    ] {
+        let outcome = ask(line);
+        assert_eq!(outcome.code, 2, "{line}: {outcome:?}");
+        assert!(outcome.stderr.contains(said), "{line}: {outcome:?}");
+    }
+    let outcome = ask("--max-memory 4");
+    assert_eq!(outcome.code, 3, "{outcome:?}");
+    assert!(outcome.stderr.contains("4194304 allowed"), "{outcome:?}");
+    // 32 MB are 83 patches.
+    let outcome = ask("--max-memory 32 --tolerance 1e-9");
+    assert_eq!(outcome.code, 0, "{outcome:?}");
+    let report: Value = serde_json::from_str(&outcome.stdout).unwrap();
+    assert!(number(&report, "/surface/patches") <= 83.0);
+    let reason = report["error"]["reason"].as_str().unwrap();
+    assert!(reason.contains("--max-memory"), "{reason}");
+}
