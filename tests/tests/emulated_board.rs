@@ -164,6 +164,15 @@ fn rms_and_largest(values: impl Iterator<Item = f64>) -> (f64, f64) {
     ((squares / count).sqrt(), largest)
 }
 
+/// Waits until the board has long seen that the finger was lifted: it refuses to tare a tip in contact.
+fn has_seen(board: &Board) {
+    let converted = || board.bench().converters[0].conversions;
+    let began = converted();
+    while converted() < began + 100 {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
 /// Records so many valid contacts with the program.
 fn capture(finger_port: &str, hand: &str, run: &str, points: &str) -> serde_json::Value {
     program::run_json(&[
@@ -233,6 +242,7 @@ fn emulated_finger_on_a_ball_from_the_chips_to_the_surface() {
     );
 
     // The run: 60 s of board time, captured by the program.
+    has_seen(&board);
     let tared = program::run_json(&["--json", "board", line.path(), "tare"]);
     assert_eq!(tared["samples"], 200, "{tared}");
     world.lock().expect("the world").set_down();
@@ -290,6 +300,7 @@ fn emulated_finger_on_a_ball_from_the_chips_to_the_surface() {
 
     // A run at the speed at which one explores: contacts 0.6 mm apart, turns 5 mm.
     world.lock().expect("the world").begin_again(120.0);
+    has_seen(&board);
     let tared = program::run_json(&["--json", "board", line.path(), "tare"]);
     assert_eq!(tared["samples"], 200, "{tared}");
     world.lock().expect("the world").set_down();

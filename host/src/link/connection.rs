@@ -38,7 +38,7 @@ pub struct ConnectionCounts {
     pub bytes: u64,
     /// Frames with a right check sum.
     pub frames: u64,
-    /// Frames without one.
+    /// Frames without one, but for the one in whose middle the port was opened.
     pub bad: u64,
 }
 
@@ -51,6 +51,9 @@ pub struct Connection {
     partial: Vec<u8>,
     waiting: VecDeque<Received>,
     counts: ConnectionCounts,
+    /// Whether a delimiter has come: what is before the first one is the end of a frame whose beginning was read, or let
+    /// go, before this connection was there, and no damage.
+    joined: bool,
     next_id: u32,
     peer: Option<Peer>,
 }
@@ -109,6 +112,7 @@ impl Connection {
             partial: Vec::with_capacity(MAX_FRAME_BYTES),
             waiting: VecDeque::new(),
             counts: ConnectionCounts::default(),
+            joined: false,
             next_id: random_id(),
             peer: None,
         }
@@ -329,6 +333,8 @@ impl Connection {
         if byte != DELIMITER && self.partial.len() < MAX_FRAME_BYTES {
             self.partial.push(byte);
         }
+        let joined = self.joined;
+        self.joined |= byte == DELIMITER;
         let Some(result) = self.decoder.push(byte) else {
             if byte == DELIMITER {
                 self.partial.clear();
@@ -348,7 +354,7 @@ impl Connection {
                     message: BoardMessage::try_from(frame),
                 });
             }
-            Err(_) => self.counts.bad += 1,
+            Err(_) => self.counts.bad += u64::from(joined),
         }
         self.partial.clear();
     }

@@ -151,14 +151,14 @@ pub(super) fn serve(
     })
 }
 
-/// Asks for real-time priority for this thread; without it a busy machine makes slow chips.
+/// Asks for real-time priority for this thread, not for programs it starts; without it a busy machine makes slow chips.
 pub(super) fn hurry() {
     // "PID/task/TID"
     let thread = std::fs::read_link("/proc/thread-self").ok();
     let number = thread.as_deref().and_then(std::path::Path::file_name);
     if let Some(number) = number {
         let _ = Command::new("chrt")
-            .args(["--rr", "--pid", "1"])
+            .args(["--reset-on-fork", "--rr", "--pid", "1"])
             .arg(number)
             .stdout(Stdio::null())
             .stderr(Stdio::null())

@@ -151,10 +151,14 @@ impl Client {
         message: &HostMessage,
         mut find: impl FnMut(&BoardMessage) -> Option<T>,
     ) -> io::Result<T> {
+        // What came before the question is no answer to it, and grows long.
+        let mut next = lock(&self.received.messages).len();
         for _ in 0..TRIES {
             self.send(message)?;
             if let Some(answer) = self.wait(PATIENCE, |messages| {
-                messages.iter().rev().find_map(&mut find)
+                let new = messages.get(next..).unwrap_or_default();
+                next = messages.len();
+                new.iter().find_map(&mut find)
             }) {
                 return Ok(answer);
             }
