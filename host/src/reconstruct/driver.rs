@@ -4,7 +4,7 @@ use super::averaging::{self, Averaged};
 use super::chart::phases::{Prepared, chart_phases};
 use super::chart::{ChartFitError, ChartOptions};
 use super::creases::{CreaseOptions, Creased, Sheets};
-use super::extract::{self, ExtractError, Extracted};
+use super::extract::{self, ExtractError, Extracted, FieldFit};
 use super::fit::foot::Foot;
 use super::fit::{Datum, FitOptions, Kind, NormalTerm};
 use super::frame::Frame;
@@ -280,8 +280,9 @@ fn run(
     // Dense tracks are averaged for the phases that look at neighbourhoods; the fit hears every contact.
     let averaged = averaging::average(&inner);
     let spread = averaged.as_ref().map_or(&inner, |a| &a.cloud);
-    let extracted = extract::extract(spread, &extract_options)?;
-    let (mut extracted, creased) = find_creases(spread, extracted, options, &extract_options)?;
+    let field = extract::fit_field(spread, &extract_options)?;
+    let (mut extracted, creased, note) = find_creases(spread, field, options, &extract_options)?;
+    out.report.notes.extend(note);
     if let Some(averaged) = &averaged {
         of_single_contacts(&mut extracted, averaged);
         out.report.notes.push(format!(
@@ -595,48 +596,54 @@ fn inliers(inner: &Cloud, outliers: &[usize]) -> Cloud {
     }
 }
 
-/// Looks for smooth sheets that break with one another. Where there are some, the surface is extracted again, sheet by
-/// sheet, and cut along the lines where they meet.
+/// Follows the field's surface. Smooth sheets that break with one another are looked for first; where there are some, each
+/// gets a field of its own and the surface is cut along the lines where they meet. If they give no surface, a note says so.
 fn find_creases(
     inner: &Cloud,
-    extracted: Extracted,
+    field: FieldFit,
     options: &Options,
     extract_options: &extract::Options,
-) -> Result<(Extracted, Creased), ReconstructError> {
-    let plain = |extracted: Extracted| {
+) -> Result<(Extracted, Creased, Option<String>), ReconstructError> {
+    let plain = |field: FieldFit| {
+        let extracted = field.trace(extract_options)?;
         let mesh = extracted.mesh.clone();
         let creased = Creased {
             mesh,
             ..Creased::default()
         };
-        Ok((extracted, creased))
+        Ok((extracted, creased, None))
     };
     // A chart is smooth everywhere.
     let wanted = options.creases.as_ref().filter(|_| options.chart.is_none());
     let Some(creases) = wanted else {
-        return plain(extracted);
+        return plain(field);
     };
-    let inliers = inliers(inner, &extracted.outliers);
+    let inliers = inliers(inner, field.outliers());
     let sheets = Sheets::of(&inliers, creases);
     if sheets.sharp().is_empty() {
-        return plain(extracted);
+        return plain(field);
     }
     let again = extract::extract_sheets(
         &inliers,
         extract_options,
         sheets.labels(),
         sheets.sharp(),
-        &extracted.noise,
+        &field.noise(),
     );
-    let extracted = match again {
-        Ok(again) => Extracted {
-            outliers: extracted.outliers,
-            ..again
-        },
-        Err(_) => extracted,
+    let (extracted, note) = match again {
+        Ok(again) => {
+            let outliers = field.outliers().to_vec();
+            (Extracted { outliers, ..again }, None)
+        }
+        Err(error) => {
+            let note = format!(
+                "sheets that break with one another were found but give no surface ({error}); edges follow one smooth field"
+            );
+            (field.trace(extract_options)?, Some(note))
+        }
     };
     let creased = sheets.cut(&extracted.mesh).map_err(SimplifyError::from)?;
-    Ok((extracted, creased))
+    Ok((extracted, creased, note))
 }
 
 fn simplify_mesh(

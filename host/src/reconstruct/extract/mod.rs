@@ -118,9 +118,47 @@ const BYTES_PER_CUBE: usize = 500;
 /// # Errors
 /// [`ExtractError`] says what is wrong with the contacts or options and what to do.
 pub fn extract(cloud: &Cloud, options: &Options) -> Result<Extracted, ExtractError> {
+    fit_field(cloud, options)?.trace(options)
+}
+
+/// A field through the contacts whose surface has not been followed yet.
+pub struct FieldFit {
+    frame: Frame,
+    fitted: Fitted,
+}
+
+/// The first half of [`extract`]: outliers, noise and field.
+///
+/// # Errors
+/// As [`extract`].
+pub fn fit_field(cloud: &Cloud, options: &Options) -> Result<FieldFit, ExtractError> {
     options.check()?;
     let (frame, all) = contacts::normalise(cloud)?;
-    trace(frame, fit(all, options)?, options)
+    let fitted = fit(all, options)?;
+    Ok(FieldFit { frame, fitted })
+}
+
+impl FieldFit {
+    /// Contacts set aside, rising.
+    pub fn outliers(&self) -> &[usize] {
+        &self.fitted.outliers
+    }
+
+    /// Noise of the contacts, in the unit of the cloud.
+    pub fn noise(&self) -> NoiseEstimate {
+        NoiseEstimate {
+            position_sigma: self.fitted.levels.position_sigma * self.frame.scale,
+            normal_sigma: self.fitted.levels.normal_sigma,
+        }
+    }
+
+    /// The second half of [`extract`]: the surface, its holes closed or open.
+    ///
+    /// # Errors
+    /// As [`extract`].
+    pub fn trace(self, options: &Options) -> Result<Extracted, ExtractError> {
+        trace(self.frame, self.fitted, options)
+    }
 }
 
 /// Extracts the surface again, now that it is known which contacts of `cloud` form smooth sheets and which of these break
