@@ -21,6 +21,15 @@ const TURNS: f32 = 7.0;
 /// Where the main lamp stands, above left, in view space.
 const MAIN_LAMP: [f32; 3] = [-0.4364, 0.6547, 0.6172];
 
+fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// What a normal gets of the main lamp, 0 to 1: a little also from beyond its rim.
+fn main_lamp(normal: [f32; 3]) -> f32 {
+    ((dot(normal, MAIN_LAMP) + 0.18) / 1.18).max(0.0)
+}
+
 /// Colour of the ground at a height of the picture, 0 above to 1 below.
 pub(super) fn background(height: f32) -> Colour {
     let above = Colour([1.0, 1.0, 1.0]);
@@ -30,11 +39,9 @@ pub(super) fn background(height: f32) -> Colour {
 
 /// Colour of a surface with a unit normal in view space and the given openness (0 hidden, 1 open).
 pub(super) fn shade(normal: [f32; 3], colour: Colour, open: f32) -> Colour {
-    let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     // The fill lamp stands on the right.
     let fill = [0.8321, 0.0555, 0.5518];
-    let wrapped = ((dot(normal, MAIN_LAMP) + 0.18) / 1.18).max(0.0);
-    let lamps = 0.60 * wrapped * (0.35 + 0.65 * open) + 0.13 * dot(normal, fill).max(0.0);
+    let lamps = 0.60 * main_lamp(normal) * (0.35 + 0.65 * open) + 0.13 * dot(normal, fill).max(0.0);
     let ambient = (0.33 + 0.09 * normal[1]) * open;
     // Halfway between lamp and viewer, for a soft highlight.
     let half = [-0.2426, 0.3640, 0.8992];
@@ -45,9 +52,7 @@ pub(super) fn shade(normal: [f32; 3], colour: Colour, open: f32) -> Colour {
 /// Colour of a surface whose colour stands for a number: its shape shows, but no highlight and no deep shade gives the
 /// colour a false hue.
 pub(super) fn shade_evenly(normal: [f32; 3], colour: Colour, open: f32) -> Colour {
-    let lamp: f32 = normal.iter().zip(&MAIN_LAMP).map(|(n, l)| n * l).sum();
-    let wrapped = ((lamp + 0.18) / 1.18).max(0.0);
-    let light = (0.74 + 0.26 * wrapped) * (0.7 + 0.3 * open);
+    let light = (0.74 + 0.26 * main_lamp(normal)) * (0.7 + 0.3 * open);
     Colour(colour.0.map(|x| x * light))
 }
 

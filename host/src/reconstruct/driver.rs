@@ -334,14 +334,13 @@ fn run(
     let started = Instant::now();
     check_memory(simplified.mesh.faces.len(), options)?;
     let (data, numbers) = data(&inner, &extracted, &creased, &simplified, options);
+    let smoothing = smoothing(noise.position_sigma);
     let surfacing = SurfacingOptions {
         fit: FitOptions {
             rounds: options.rounds,
             normal_term: options.normal_term,
-            fair_curvature: options
-                .fair_curvature
-                .unwrap_or(FAIRNESS * smoothing(noise.position_sigma)),
-            smoothing: smoothing(noise.position_sigma),
+            fair_curvature: options.fair_curvature.unwrap_or(FAIRNESS * smoothing),
+            smoothing,
             outlier_scale: 6.0 * noise.position_sigma.max(1e-4),
         },
         tolerance,

@@ -74,8 +74,7 @@ impl Facts<'_> {
                 );
             }
             if let Some(reason) = &error.reason {
-                let why = reason.trim_start_matches("tolerance: ");
-                let _ = write!(out, " ({})", escaped(why.trim_end_matches('.')));
+                let _ = write!(out, " ({})", escaped(bare(reason)));
             }
         }
         if self.measures.folded_patches > 0 {
@@ -174,12 +173,9 @@ impl Facts<'_> {
                     if error.met { "met" } else { "not met" }
                 ),
                 &match error.reason.as_deref() {
-                    Some(reason) => format!(
-                        "Largest distance any point was allowed; {}.",
-                        reason
-                            .trim_start_matches("tolerance: ")
-                            .trim_end_matches('.')
-                    ),
+                    Some(reason) => {
+                        format!("Largest distance any point was allowed; {}.", bare(reason))
+                    }
                     None => "Largest distance any point was allowed.".to_owned(),
                 },
             );
@@ -354,6 +350,13 @@ impl Facts<'_> {
         );
         out
     }
+}
+
+/// A reason of the report without the label before it and the full stop after it.
+fn bare(reason: &str) -> &str {
+    reason
+        .trim_start_matches("tolerance: ")
+        .trim_end_matches('.')
 }
 
 /// A word for a shell, quoted if it needs to be.

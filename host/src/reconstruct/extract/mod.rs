@@ -121,12 +121,6 @@ pub fn extract(cloud: &Cloud, options: &Options) -> Result<Extracted, ExtractErr
     fit_field(cloud, options)?.trace(options)
 }
 
-/// A field through the contacts whose surface has not been followed yet.
-pub struct FieldFit {
-    frame: Frame,
-    fitted: Fitted,
-}
-
 /// The first half of [`extract`]: outliers, noise and field.
 ///
 /// # Errors
@@ -134,31 +128,7 @@ pub struct FieldFit {
 pub fn fit_field(cloud: &Cloud, options: &Options) -> Result<FieldFit, ExtractError> {
     options.check()?;
     let (frame, all) = contacts::normalise(cloud)?;
-    let fitted = fit(all, options)?;
-    Ok(FieldFit { frame, fitted })
-}
-
-impl FieldFit {
-    /// Contacts set aside, rising.
-    pub fn outliers(&self) -> &[usize] {
-        &self.fitted.outliers
-    }
-
-    /// Noise of the contacts, in the unit of the cloud.
-    pub fn noise(&self) -> NoiseEstimate {
-        NoiseEstimate {
-            position_sigma: self.fitted.levels.position_sigma * self.frame.scale,
-            normal_sigma: self.fitted.levels.normal_sigma,
-        }
-    }
-
-    /// The second half of [`extract`]: the surface, its holes closed or open.
-    ///
-    /// # Errors
-    /// As [`extract`].
-    pub fn trace(self, options: &Options) -> Result<Extracted, ExtractError> {
-        trace(self.frame, self.fitted, options)
-    }
+    fit(frame, all, options)
 }
 
 /// Extracts the surface again, now that it is known which contacts of `cloud` form smooth sheets and which of these break
@@ -186,118 +156,21 @@ pub fn extract_sheets(
     };
     let neighbours = options.neighbours;
     let field = SheetField::new(&data, labels, sharp, &levels, neighbours, contact_spacing)?;
-    let fitted = Fitted {
+    FieldFit {
+        frame,
         data,
         tree,
         shape: Shape::Sheets(field),
         levels,
         contact_spacing,
         outliers: Vec::new(),
-    };
-    trace(frame, fitted, options)
+    }
+    .trace(options)
 }
 
-/// Follows the zero set of a field.
-fn trace(frame: Frame, fitted: Fitted, options: &Options) -> Result<Extracted, ExtractError> {
-    let Fitted {
-        data,
-        tree,
-        shape,
-        levels,
-        contact_spacing,
-        outliers,
-    } = fitted;
-    let spacing = options
-        .spacing
-        .map_or(FINENESS * contact_spacing, |s| s / frame.scale);
-    let limit = options.max_memory.saturating_sub(shape.bytes()) / BYTES_PER_CUBE;
-    let too_much = |cubes: usize| ExtractError::TooMuchMemory {
-        spacing: spacing * frame.scale,
-        needed: shape
-            .bytes()
-            .saturating_add(cubes.saturating_mul(BYTES_PER_CUBE)),
-        limit: options.max_memory,
-    };
-    // Every contact's spacing^2 of surface has about 1.5 (spacing / lattice spacing)^2 cubes.
-    let expected = 1.5 * data.positions.len() as f64 * (contact_spacing / spacing).powi(2);
-    if expected > limit as f64 {
-        return Err(too_much(expected as usize));
-    }
-    (options.announce)(Estimate {
-        cubes: expected as usize,
-        bytes: shape.bytes() + expected as usize * BYTES_PER_CUBE,
-        limit: options.max_memory,
-    });
-    let seeds: Vec<Vec3> = data
-        .positions
-        .par_iter()
-        .filter_map(|p| shape.project(p, spacing.min(contact_spacing)))
-        .collect();
-    let hole_radius = options
-        .max_gap
-        .map_or(0.0, |gap| 0.5 * gap / frame.scale)
-        .max(HOLE_SPACINGS * contact_spacing);
-    let reach = REACH.max(hole_radius + 2.0 * spacing);
-    let sides = Sides::new(&data, &tree, contact_spacing);
-    let marched = Lattice { spacing }.march(
-        |x| sides.settle(x, shape.value(x)),
-        &seeds,
-        |x| {
-            tree.nearest_one(x)
-                .is_some_and(|(_, d2)| d2 < reach * reach)
-        },
-        limit,
-    );
-    if marched.truncated {
-        return Err(too_much(marched.cubes));
-    }
-    let mut mesh = marched.mesh;
-    if mesh.faces.is_empty() {
-        return Err(ExtractError::NoSurface);
-    }
-    polish(&shape, &mut mesh, 0.5 * spacing);
-    let support = border::support(&mesh, &data, &tree);
-    let closing = Closing {
-        radius: hole_radius,
-        deepest: options.max_gap.map(|gap| 0.5 * gap / frame.scale),
-        reach: reach - 2.0 * spacing,
-        wide: WIDE_CLOSING,
-        fill: FILL_SPACINGS * contact_spacing,
-    };
-    let (mesh, mut holes) = border::close_or_open(mesh, &support, &closing);
-    let least = (data.positions.len() / 200).clamp(3, 20);
-    let (mut mesh, dropped_components) = border::keep_touched(&mesh, &seeds, least);
-    border::separate_fans(&mut mesh);
-    if mesh.faces.is_empty() {
-        return Err(ExtractError::NoSurface);
-    }
-    for x in &mut mesh.positions {
-        *x = frame.outward(x);
-    }
-    for hole in &mut holes {
-        hole.place = frame.outward(&hole.place);
-        hole.depth *= frame.scale;
-    }
-    let bytes = shape.bytes() + marched.cubes * BYTES_PER_CUBE;
-    Ok(Extracted {
-        mesh,
-        field: Field::new(frame, shape, tree, levels, contact_spacing),
-        noise: NoiseEstimate {
-            position_sigma: levels.position_sigma * frame.scale,
-            normal_sigma: levels.normal_sigma,
-        },
-        outliers,
-        holes,
-        dropped_components,
-        spacing: spacing * frame.scale,
-        contact_spacing: contact_spacing * frame.scale,
-        cubes: marched.cubes,
-        bytes,
-    })
-}
-
-/// The field and what it was made from.
-struct Fitted {
+/// A field through the contacts, whose surface has not been followed yet, and what it was made from.
+pub struct FieldFit {
+    frame: Frame,
     data: Normalised,
     tree: Neighbourhoods,
     shape: Shape,
@@ -306,8 +179,124 @@ struct Fitted {
     outliers: Vec<usize>,
 }
 
+impl FieldFit {
+    /// Contacts set aside, rising.
+    pub fn outliers(&self) -> &[usize] {
+        &self.outliers
+    }
+
+    /// Noise of the contacts, in the unit of the cloud.
+    pub fn noise(&self) -> NoiseEstimate {
+        NoiseEstimate {
+            position_sigma: self.levels.position_sigma * self.frame.scale,
+            normal_sigma: self.levels.normal_sigma,
+        }
+    }
+
+    /// The second half of [`extract`]: follows the field's zero set, its holes closed or open.
+    ///
+    /// # Errors
+    /// As [`extract`].
+    pub fn trace(self, options: &Options) -> Result<Extracted, ExtractError> {
+        let noise = self.noise();
+        let Self {
+            frame,
+            data,
+            tree,
+            shape,
+            levels,
+            contact_spacing,
+            outliers,
+        } = self;
+        let spacing = options
+            .spacing
+            .map_or(FINENESS * contact_spacing, |s| s / frame.scale);
+        let limit = options.max_memory.saturating_sub(shape.bytes()) / BYTES_PER_CUBE;
+        let too_much = |cubes: usize| ExtractError::TooMuchMemory {
+            spacing: spacing * frame.scale,
+            needed: shape
+                .bytes()
+                .saturating_add(cubes.saturating_mul(BYTES_PER_CUBE)),
+            limit: options.max_memory,
+        };
+        // Every contact's spacing^2 of surface has about 1.5 (spacing / lattice spacing)^2 cubes.
+        let expected = 1.5 * data.positions.len() as f64 * (contact_spacing / spacing).powi(2);
+        if expected > limit as f64 {
+            return Err(too_much(expected as usize));
+        }
+        (options.announce)(Estimate {
+            cubes: expected as usize,
+            bytes: shape.bytes() + expected as usize * BYTES_PER_CUBE,
+            limit: options.max_memory,
+        });
+        let seeds: Vec<Vec3> = data
+            .positions
+            .par_iter()
+            .filter_map(|p| shape.project(p, spacing.min(contact_spacing)))
+            .collect();
+        let hole_radius = options
+            .max_gap
+            .map_or(0.0, |gap| 0.5 * gap / frame.scale)
+            .max(HOLE_SPACINGS * contact_spacing);
+        let reach = REACH.max(hole_radius + 2.0 * spacing);
+        let sides = Sides::new(&data, &tree, contact_spacing);
+        let marched = Lattice { spacing }.march(
+            |x| sides.settle(x, shape.value(x)),
+            &seeds,
+            |x| {
+                tree.nearest_one(x)
+                    .is_some_and(|(_, d2)| d2 < reach * reach)
+            },
+            limit,
+        );
+        if marched.truncated {
+            return Err(too_much(marched.cubes));
+        }
+        let mut mesh = marched.mesh;
+        if mesh.faces.is_empty() {
+            return Err(ExtractError::NoSurface);
+        }
+        polish(&shape, &mut mesh, 0.5 * spacing);
+        let support = border::support(&mesh, &data, &tree);
+        let closing = Closing {
+            radius: hole_radius,
+            deepest: options.max_gap.map(|gap| 0.5 * gap / frame.scale),
+            reach: reach - 2.0 * spacing,
+            wide: WIDE_CLOSING,
+            fill: FILL_SPACINGS * contact_spacing,
+        };
+        let (mesh, mut holes) = border::close_or_open(mesh, &support, &closing);
+        let least = (data.positions.len() / 200).clamp(3, 20);
+        let (mut mesh, dropped_components) = border::keep_touched(&mesh, &seeds, least);
+        border::separate_fans(&mut mesh);
+        if mesh.faces.is_empty() {
+            return Err(ExtractError::NoSurface);
+        }
+        for x in &mut mesh.positions {
+            *x = frame.outward(x);
+        }
+        for hole in &mut holes {
+            hole.place = frame.outward(&hole.place);
+            hole.depth *= frame.scale;
+        }
+        let bytes = shape.bytes() + marched.cubes * BYTES_PER_CUBE;
+        Ok(Extracted {
+            mesh,
+            field: Field::new(frame, shape, tree, levels, contact_spacing),
+            noise,
+            outliers,
+            holes,
+            dropped_components,
+            spacing: spacing * frame.scale,
+            contact_spacing: contact_spacing * frame.scale,
+            cubes: marched.cubes,
+            bytes,
+        })
+    }
+}
+
 /// Fits the field to those contacts that do not contradict it.
-fn fit(mut data: Normalised, options: &Options) -> Result<Fitted, ExtractError> {
+fn fit(frame: Frame, mut data: Normalised, options: &Options) -> Result<FieldFit, ExtractError> {
     let kernel = match options.method {
         Method::Hermite(kernel) => kernel,
         Method::TangentPlanes => Kernel::Septic,
@@ -348,7 +337,8 @@ fn fit(mut data: Normalised, options: &Options) -> Result<Fitted, ExtractError> 
                 Shape::Planes(TangentPlanes::new(&data, &tree, contact_spacing))
             }
         };
-        return Ok(Fitted {
+        return Ok(FieldFit {
+            frame,
             data,
             tree,
             shape,

@@ -256,10 +256,10 @@ fn curvatures(reference: &Reference<'_>, normals: &[Vec3], turn: f64, mean_edge:
         if half.freedom(v) != Freedom::Surface {
             continue;
         }
+        let n = normals[v as usize];
+        let plane = Matrix3::identity() - n * n.transpose();
         for w in within(half, v) {
             let way = (half.position(w) - half.position(v)).norm_squared();
-            let n = normals[v as usize];
-            let plane = Matrix3::identity() - n * n.transpose();
             let change = plane * (tensors[w as usize] - tensors[v as usize]) * plane;
             sum += change.norm_squared() / way.max(1e-300);
             count += 1.0;
@@ -274,6 +274,7 @@ fn curvatures(reference: &Reference<'_>, normals: &[Vec3], turn: f64, mean_edge:
 fn averaged(half: &HalfEdgeMesh, tensors: &[Matrix3<f64>]) -> Vec<Matrix3<f64>> {
     let mut out = tensors.to_vec();
     for v in half.vertices() {
+        // A vertex on a line counts itself only where nothing else counts.
         let own = if half.freedom(v) == Freedom::Surface {
             1.0
         } else {
