@@ -5,7 +5,8 @@
 //! as the points are dense enough to follow; at a crease the prediction fails on both sides. It also fails where
 //! a surface bends faster than the points show, so every boundary between two regions is tried:
 //! it is a crease only where both sheets, carried on from their own side, meet between the points at an
-//! angle, and no point near by contradicts them. Regions on both sides of any other boundary are joined.
+//! angle, and no point near by contradicts them. Regions on both sides of any other boundary are joined, unless both
+//! break with others: such sheets are what they seem, and stay apart where nothing shows that one goes on as the other.
 
 use super::sheet::{Scatter, Sheet, meet};
 use crate::Vec3;
@@ -287,9 +288,15 @@ impl<'a> Regions<'a> {
         self.join_fragments();
         for _ in 0..4 {
             let mut pairs = self.boundaries(neighbours, turn_min);
-            let is_sharp = |b: &Boundary| {
-                b.sharp >= PLACES_MIN && b.sharp as f64 >= SHARE_MIN * b.places as f64
-            };
+            // Sheets that break with some other are no bends that are faster than the points show: what counts between
+            // two of these is what most places say.
+            let mut edged: Vec<u32> = (pairs.iter().filter(|b| b.is_sharp()))
+                .flat_map(|b| b.regions)
+                .collect();
+            edged.sort_unstable();
+            let known = |b: &Boundary| b.regions.iter().all(|r| edged.binary_search(r).is_ok());
+            let is_sharp = |b: &Boundary| b.is_sharp() || known(b) && 2 * b.sharp > b.places;
+            let apart = |b: &Boundary| is_sharp(b) || known(b) && 2 * b.smooth <= b.places;
             let count = self
                 .label
                 .iter()
@@ -303,7 +310,7 @@ impl<'a> Regions<'a> {
                 .map(|b| b.regions)
                 .collect();
             // The least sharp boundaries vanish first; none may vanish that would join across a sharp one.
-            pairs.retain(|b| !is_sharp(b));
+            pairs.retain(|b| !apart(b));
             pairs.sort_by(|a, b| a.turn.total_cmp(&b.turn).then(a.regions.cmp(&b.regions)));
             let mut joined = false;
             for b in &pairs {
@@ -335,6 +342,43 @@ impl<'a> Regions<'a> {
                 break;
             }
         }
+        self.sharpen_planes(turn_min);
+    }
+
+    /// Planes that break with other sheets break with one another, too, where gaps or single points at their common
+    /// edge hide it: a plane goes on until something ends it.
+    fn sharpen_planes(&mut self, turn_min: f64) {
+        let mut edged: Vec<u32> = self.sharp.iter().flatten().copied().collect();
+        edged.sort_unstable();
+        edged.dedup();
+        let mut planes: Vec<(u32, Vec3)> = Vec::new();
+        for region in edged {
+            let own: Vec<OrientedPoint> = (self.points.iter().zip(&self.label))
+                .filter(|(_, l)| **l == region)
+                .map(|(p, _)| *p)
+                .collect();
+            let centre = own.iter().map(|p| p.position).sum::<Vec3>() / own.len().max(1) as f64;
+            let reach = own
+                .iter()
+                .map(|p| (p.position - centre).norm())
+                .fold(0.0, f64::max);
+            if let Some(sheet) = Sheet::through(&own, &centre, reach, &self.scatter)
+                && sheet.is_plane()
+                && sheet.misfit < MISFIT_MAX
+            {
+                planes.push((region, sheet.normal(&centre)));
+            }
+        }
+        for (k, (a, m)) in planes.iter().enumerate() {
+            for (b, n) in &planes[..k] {
+                let turn = m.angle(n);
+                if turn > turn_min && turn < std::f64::consts::PI - turn_min {
+                    self.sharp.push([*a.min(b), *a.max(b)]);
+                }
+            }
+        }
+        self.sharp.sort_unstable();
+        self.sharp.dedup();
     }
 
     fn drop_small(&mut self) {
@@ -457,38 +501,43 @@ impl<'a> Regions<'a> {
         places.sort_unstable();
         let mut out: Vec<Boundary> = Vec::new();
         for (regions, i, j) in places {
-            let turn = self.turn_at(regions, i, j);
+            let meeting = self.meeting(regions, i, j);
             if out.last().is_none_or(|b| b.regions != regions) {
                 out.push(Boundary {
                     regions,
                     places: 0,
                     sharp: 0,
+                    smooth: 0,
                     turn: 0.0,
                 });
             }
             if let Some(b) = out.last_mut() {
                 b.places += 1;
+                let turn = match meeting {
+                    Meeting::Angle(turn) => turn,
+                    Meeting::Smooth | Meeting::Contradicted => 0.0,
+                };
                 b.sharp += usize::from(turn > turn_min);
+                b.smooth += usize::from(turn <= turn_min && meeting != Meeting::Contradicted);
                 b.turn += (turn - b.turn) / b.places as f64;
             }
         }
         out
     }
 
-    /// The angle, radians, at which the sheets of two regions meet between points `i` and `j`; 0 if they
-    /// do not, or if points near by contradict them.
-    fn turn_at(&self, regions: [u32; 2], i: u32, j: u32) -> f64 {
+    /// How the sheets of two regions meet between points `i` and `j`.
+    fn meeting(&self, regions: [u32; 2], i: u32, j: u32) -> Meeting {
         let (p, q) = (&self.points[i as usize], &self.points[j as usize]);
         let middle = (p.position + q.position) * 0.5;
         let (Some(a), Some(b)) = (
             self.sheet(regions[0], &middle, SHEET_POINTS),
             self.sheet(regions[1], &middle, SHEET_POINTS),
         ) else {
-            return 0.0;
+            return Meeting::Contradicted;
         };
         let reach = 1.5 * self.spacing.max((p.position - q.position).norm());
         let Some(x) = meet(&[&a, &b], &middle, reach) else {
-            return 0.0;
+            return Meeting::Smooth;
         };
         // Each sheet must end in points of its own: carried on by more than two spacings it is a guess, unless both are
         // planes, which go far.
@@ -520,11 +569,22 @@ impl<'a> Regions<'a> {
             against += usize::from(!self.agrees(sheet, point, 0.0));
         }
         if ends.iter().any(|e| !e.is_finite()) || against * 5 > near {
-            return 0.0;
+            return Meeting::Contradicted;
         }
         let (m, n) = (a.normal(&x), b.normal(&x));
-        m.cross(&n).norm().atan2(m.dot(&n))
+        Meeting::Angle(m.cross(&n).norm().atan2(m.dot(&n)))
     }
+}
+
+/// How two sheets meet at one place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Meeting {
+    /// At this angle, radians.
+    Angle(f64),
+    /// They do not, though there are points of both: one goes on as the other.
+    Smooth,
+    /// Points near by contradict them, or end before the place.
+    Contradicted,
 }
 
 /// How two regions meet.
@@ -535,6 +595,15 @@ struct Boundary {
     places: usize,
     /// Those at which the sheets meet at an angle.
     sharp: usize,
+    /// Those at which one sheet goes on as the other.
+    smooth: usize,
     /// Mean angle, radians.
     turn: f64,
+}
+
+impl Boundary {
+    /// Whether it shows by itself that the surface breaks there.
+    fn is_sharp(&self) -> bool {
+        self.sharp >= PLACES_MIN && self.sharp as f64 >= SHARE_MIN * self.places as f64
+    }
 }

@@ -96,6 +96,24 @@ fn the_twelve_edges_of_a_noisy_cube_are_found_and_placed() {
 }
 
 #[test]
+fn an_edge_that_hardly_any_point_comes_near_is_an_edge() {
+    let a = 0.4;
+    let mut cloud = cube_points(374, a);
+    // A third of the width off one edge, and all of a corner besides.
+    cloud.points.retain(|p| {
+        let [x, y, z] = [p.position.x / a, p.position.y / a, p.position.z / a];
+        !(x > 0.35 && y > 0.35) && !(x < -0.2 && y > 0.0 && z > 0.0)
+    });
+    let sheets = Sheets::of(&cloud, &CreaseOptions::default());
+    let mut labels = sheets.labels().to_vec();
+    labels.retain(|l| *l != crate::mesh::NONE);
+    labels.sort_unstable();
+    labels.dedup();
+    assert_eq!(labels.len(), 6);
+    assert_eq!(sheets.sharp().len(), 12);
+}
+
+#[test]
 fn the_two_rims_of_a_noisy_cylinder_are_found() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let (radius, height) = (0.3, 0.8);

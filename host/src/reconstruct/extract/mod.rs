@@ -239,9 +239,18 @@ impl FieldFit {
             .map_or(0.0, |gap| 0.5 * gap / frame.scale)
             .max(HOLE_SPACINGS * contact_spacing);
         let reach = REACH.max(hole_radius + 2.0 * spacing);
-        let sides = Sides::new(&data, &tree, contact_spacing);
+        let sides = Sides {
+            normals: &data.normals,
+            tree: &tree,
+            spacing: contact_spacing,
+        };
         let marched = Lattice { spacing }.march(
-            |x| sides.settle(x, shape.value(x)),
+            |x| match &shape {
+                // Each sheet has asked its own contacts; those of another one that a place lies behind know nothing of
+                // the edge beside it.
+                Shape::Sheets(sheets) => sheets.settled(x),
+                _ => sides.settle(x, shape.value(x)),
+            },
             &seeds,
             |x| {
                 tree.nearest_one(x)

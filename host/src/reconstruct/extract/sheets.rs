@@ -10,7 +10,7 @@
 
 use super::{
     build_field, contacts::Normalised, field::BlendedField, kernel::Kernel, options::ExtractError,
-    smoothing, smoothing::Levels,
+    sides::Sides, smoothing, smoothing::Levels,
 };
 use crate::{Vec3, cloud::Neighbourhoods};
 
@@ -106,7 +106,16 @@ impl SheetField {
     /// to be `broken` meet in an edge all the same if one turns away from the other's contacts by more than
     /// [`EDGE_TURN`]: small pieces of a sheet show too little of their edge to be sure of it.
     fn meeting(&self, i: usize, j: usize, broken: bool) -> Edge {
-        let reach = EDGE_SPACINGS * self.spacing;
+        match self.meeting_within(EDGE_SPACINGS * self.spacing, [i, j], broken) {
+            // A gap hides their edge: all their contacts tell.
+            None if broken => self.meeting_within(f64::INFINITY, [i, j], broken),
+            edge => edge,
+        }
+        .unwrap_or(Edge::None)
+    }
+
+    /// The same, from the contacts within `reach` of the other sheet; `None` without any.
+    fn meeting_within(&self, reach: f64, [i, j]: [usize; 2], broken: bool) -> Option<Edge> {
         let (mut behind, mut turn, mut count) = (0.0, 0.0, 0.0);
         for (of, against) in [(i, j), (j, i)] {
             let (of, against) = (&self.sheets[of], &self.sheets[against]);
@@ -122,17 +131,20 @@ impl SheetField {
                 }
             }
         }
-        if count == 0.0 || (!broken && turn < EDGE_TURN * count) {
+        if count == 0.0 {
+            return None;
+        }
+        Some(if !broken && turn < EDGE_TURN * count {
             Edge::None
         } else if behind < 0.0 {
             Edge::Outer
         } else {
             Edge::Inner
-        }
+        })
     }
 
-    /// The sheet that bounds the solid nearest to `x`, and its field's value there; `None` without sheets.
-    fn leading(&self, x: &Vec3) -> Option<(&Sheet, f64)> {
+    /// The sheet that bounds the solid nearest to `x`, and its `value` there; `None` without sheets.
+    fn leading(&self, x: &Vec3, value: impl Fn(&Sheet) -> f64) -> Option<(&Sheet, f64)> {
         let away: Vec<f64> = self
             .sheets
             .iter()
@@ -146,7 +158,7 @@ impl SheetField {
         let limit = SAY_RATIO * least + SAY_SPACINGS * self.spacing;
         let heard: Vec<(usize, f64)> = (0..self.sheets.len())
             .filter(|&i| away[i] <= limit)
-            .map(|i| (i, self.sheets[i].field.value(x)))
+            .map(|i| (i, value(&self.sheets[i])))
             .filter(|(_, f)| f.is_finite())
             .collect();
         let count = self.sheets.len();
@@ -172,12 +184,26 @@ impl SheetField {
 
     /// Value at `x`; NaN where nothing speaks.
     pub(super) fn value(&self, x: &Vec3) -> f64 {
-        self.leading(x).map_or(f64::NAN, |(_, value)| value)
+        self.leading(x, |s| s.field.value(x))
+            .map_or(f64::NAN, |(_, value)| value)
+    }
+
+    /// The same, with the sign from each sheet's own contacts where these leave no doubt.
+    pub(super) fn settled(&self, x: &Vec3) -> f64 {
+        let value = |sheet: &Sheet| {
+            let sides = Sides {
+                normals: &sheet.normals,
+                tree: &sheet.contacts,
+                spacing: self.spacing,
+            };
+            sides.settle(x, sheet.field.value(x))
+        };
+        self.leading(x, value).map_or(f64::NAN, |(_, value)| value)
     }
 
     /// Value and gradient at `x`; NaN where nothing speaks.
     pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
-        self.leading(x).map_or_else(
+        self.leading(x, |s| s.field.value(x)).map_or_else(
             || (f64::NAN, Vec3::repeat(f64::NAN)),
             |(s, _)| s.field.value_and_gradient(x),
         )
@@ -185,7 +211,7 @@ impl SheetField {
 
     /// Standard deviation of the leading sheet's fits.
     pub(super) fn sigma(&self, x: &Vec3) -> Option<f64> {
-        self.leading(x)?.0.field.sigma(x)
+        self.leading(x, |s| s.field.value(x))?.0.field.sigma(x)
     }
 
     /// Number of local fits.
@@ -196,5 +222,56 @@ impl SheetField {
     /// Bytes held.
     pub(super) fn bytes(&self) -> usize {
         self.sheets.iter().map(|s| s.field.bytes()).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        cloud::{Cloud, OrientedPoint},
+        mesh::topology,
+        reconstruct::extract::{NoiseEstimate, Options, extract_sheets},
+    };
+
+    #[test]
+    fn nothing_stands_out_where_the_contacts_near_an_edge_are_missing() {
+        // The cube [-1, 1]^3; its top ends far before one edge, which is touched from the side alone.
+        let mut cloud = Cloud::default();
+        let (mut labels, mut sharp) = (Vec::new(), Vec::new());
+        for face in 0..6_u32 {
+            let (axis, side) = (face as usize / 2, if face % 2 == 0 { 1.0 } else { -1.0 });
+            for k in 0..81 {
+                let mut position = Vec3::zeros();
+                position[axis] = side;
+                position[(axis + 1) % 3] = f64::from(k % 9) * 0.25 - 1.0;
+                position[(axis + 2) % 3] = f64::from(k / 9) * 0.25 - 1.0;
+                if axis == 2 && side > 0.0 && position.x > -0.3 {
+                    continue;
+                }
+                let mut normal = Vec3::zeros();
+                normal[axis] = side;
+                cloud.points.push(OrientedPoint {
+                    position,
+                    normal,
+                    sigma: None,
+                    finger: None,
+                    time_us: None,
+                });
+                labels.push(face);
+            }
+            sharp.extend((0..face).filter(|f| f / 2 != face / 2).map(|f| [f, face]));
+        }
+        let noise = NoiseEstimate {
+            position_sigma: 1e-4,
+            normal_sigma: 1e-3,
+        };
+        let found = extract_sheets(&cloud, &Options::default(), &labels, &sharp, &noise).unwrap();
+        assert_eq!(topology(&found.mesh).genus(), Some(0));
+        for x in &found.mesh.positions {
+            // Edges are cut off by up to a cube of the lattice.
+            let out = x.amax() - 1.0;
+            assert!(out < 1e-3 && out > -found.spacing, "{x}");
+        }
     }
 }

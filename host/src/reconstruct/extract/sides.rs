@@ -9,7 +9,6 @@
 //! Two ways were weighed: to cut phantoms off the mesh afterwards (they share pinholes with the surface, which tear it),
 //! and this one, which never makes them.
 
-use super::contacts::Normalised;
 use crate::{Vec3, cloud::Neighbourhoods};
 
 /// Contacts that are asked at most, and how much farther than the nearest one they may be.
@@ -25,29 +24,26 @@ const AWAY: [f64; 2] = [0.7, 1.4];
 /// spacings wide: lower values take the planes of their sides for the surface in the gaps at their edges).
 const FAR: f64 = 3.5;
 
-/// What the contacts say about inside and outside, in normalised coordinates.
+/// What contacts say about inside and outside, in normalised coordinates.
+#[derive(Clone, Copy)]
 pub(super) struct Sides<'a> {
-    data: &'a Normalised,
-    tree: &'a Neighbourhoods,
-    spacing: f64,
+    /// The contacts' normals.
+    pub normals: &'a [Vec3],
+    /// Their positions.
+    pub tree: &'a Neighbourhoods,
+    /// Typical distance of neighbouring contacts.
+    pub spacing: f64,
 }
 
-impl<'a> Sides<'a> {
-    pub(super) fn new(data: &'a Normalised, tree: &'a Neighbourhoods, spacing: f64) -> Self {
-        Self {
-            data,
-            tree,
-            spacing,
-        }
-    }
-
+impl Sides<'_> {
     /// The field's `value` at `x`, or the distance to the nearest tangent plane where the contacts leave no doubt.
     pub(super) fn settle(&self, x: &Vec3, value: f64) -> f64 {
         let near = self.tree.nearest(x, WITNESSES);
         let Some(&(first, d2)) = near.first() else {
             return value;
         };
-        let height = |j: usize| (x - self.data.positions[j]).dot(&self.data.normals[j]);
+        let positions = self.tree.positions();
+        let height = |j: usize| (x - positions[j]).dot(&self.normals[j]);
         let (distance, plane) = (d2.sqrt(), height(first));
         let ahead = plane.abs() / distance.max(f64::MIN_POSITIVE);
         let weight = ramp(AHEAD, ahead) * ramp(AWAY.map(|a| a * self.spacing), distance);
@@ -85,25 +81,21 @@ mod tests {
     #[test]
     fn behind_all_contacts_is_inside_and_gaps_are_left_to_the_field() {
         // Two walls, 0.4 apart, that face away from one another, with contacts every 0.1.
-        let mut data = Normalised {
-            positions: Vec::new(),
-            normals: Vec::new(),
-            relative_sigma: Vec::new(),
-            source: Vec::new(),
-        };
+        let (mut positions, mut normals) = (Vec::new(), Vec::new());
         for i in 0..10 {
             for j in 0..10 {
                 for side in [-1.0, 1.0] {
                     let (x, y) = (0.1 * f64::from(i), 0.1 * f64::from(j));
-                    data.positions.push(Vec3::new(x, y, 0.2 * side));
-                    data.normals.push(Vec3::z() * side);
-                    data.relative_sigma.push(1.0);
-                    data.source.push(data.source.len());
+                    positions.push(Vec3::new(x, y, 0.2 * side));
+                    normals.push(Vec3::z() * side);
                 }
             }
         }
-        let tree = Neighbourhoods::new(data.positions.clone());
-        let sides = Sides::new(&data, &tree, 0.1);
+        let sides = Sides {
+            normals: &normals,
+            tree: &Neighbourhoods::new(positions),
+            spacing: 0.1,
+        };
         assert!(sides.settle(&Vec3::new(0.42, 0.47, 0.01), 0.3) < -0.15);
         assert!(sides.settle(&Vec3::new(0.42, 0.47, 0.5), -0.3) > 0.15);
         // Beside a contact, and near the surface, the field is asked.
