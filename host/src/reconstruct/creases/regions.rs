@@ -288,15 +288,23 @@ impl<'a> Regions<'a> {
         self.join_fragments();
         for _ in 0..4 {
             let mut pairs = self.boundaries(neighbours, turn_min);
-            // Sheets that break with some other are no bends that are faster than the points show: what counts between
-            // two of these is what most places say.
+            // A sheet that breaks with some other is no bend that is faster than the points show: what counts at its
+            // other boundaries is what most places say, and between two such sheets one place is enough.
             let mut edged: Vec<u32> = (pairs.iter().filter(|b| b.is_sharp()))
                 .flat_map(|b| b.regions)
                 .collect();
             edged.sort_unstable();
-            let known = |b: &Boundary| b.regions.iter().all(|r| edged.binary_search(r).is_ok());
-            let is_sharp = |b: &Boundary| b.is_sharp() || known(b) && 2 * b.sharp > b.places;
-            let apart = |b: &Boundary| is_sharp(b) || known(b) && 2 * b.smooth <= b.places;
+            let known = |b: &Boundary| {
+                b.regions
+                    .map(|r| usize::from(edged.binary_search(&r).is_ok()))
+                    .iter()
+                    .sum::<usize>()
+            };
+            let is_sharp = |b: &Boundary| {
+                let least = [usize::MAX, PLACES_MIN, 1][known(b)];
+                b.is_sharp() || b.sharp >= least && 2 * b.sharp > b.places
+            };
+            let apart = |b: &Boundary| is_sharp(b) || known(b) == 2 && 2 * b.smooth <= b.places;
             let count = self
                 .label
                 .iter()

@@ -102,7 +102,8 @@ fn an_edge_that_hardly_any_point_comes_near_is_an_edge() {
     // A third of the width off one edge, and all of a corner besides.
     cloud.points.retain(|p| {
         let [x, y, z] = [p.position.x / a, p.position.y / a, p.position.z / a];
-        !(x > 0.35 && y > 0.35) && !(x < -0.2 && y > 0.0 && z > 0.0)
+        let (edge, corner) = (x > 0.35 && y > 0.35, x < -0.2 && y > 0.0 && z > 0.0);
+        !edge && !corner
     });
     let sheets = Sheets::of(&cloud, &CreaseOptions::default());
     let mut labels = sheets.labels().to_vec();

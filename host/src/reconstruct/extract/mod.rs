@@ -105,6 +105,8 @@ const SURE: f64 = 0.5;
 const SURE_LEAST: f64 = 1e-4;
 /// Surface is followed this far from the contacts (normalised) when holes may be closed.
 const REACH: f64 = 0.25;
+/// The same where sheets bound one another: a plane may be carried on across half a face (a cube with 374 contacts).
+const SHEETS_REACH: f64 = 0.5;
 /// Radius (normalised) of the closing that straightens a border between the outermost contacts: as wide as the reach allows.
 const WIDE_CLOSING: f64 = 0.8 * REACH;
 /// It adds surface up to this many contact spacings from a contact. Between 1.5 and 3 the rims of five bowls came out the
@@ -238,7 +240,11 @@ impl FieldFit {
             .max_gap
             .map_or(0.0, |gap| 0.5 * gap / frame.scale)
             .max(HOLE_SPACINGS * contact_spacing);
-        let reach = REACH.max(hole_radius + 2.0 * spacing);
+        let far = match shape {
+            Shape::Sheets(_) => SHEETS_REACH,
+            _ => REACH,
+        };
+        let reach = far.max(hole_radius + 2.0 * spacing);
         let sides = Sides {
             normals: &data.normals,
             tree: &tree,
