@@ -226,6 +226,19 @@ pub struct NormalFigures {
     pub max_degrees: f64,
 }
 
+impl ErrorFigures {
+    /// Whether the tolerance is met, and if not, by how many points.
+    pub fn outcome(&self) -> String {
+        match (self.met, self.beyond) {
+            (true, _) => "met".to_owned(),
+            // Reports of before this was counted.
+            (false, 0) => "not met".to_owned(),
+            (false, 1) => "not met by 1 point".to_owned(),
+            (false, count) => format!("not met by {count} points"),
+        }
+    }
+}
+
 impl Report {
     /// The report as it is written: indented JSON with a line end.
     pub fn to_json(&self) -> String {

@@ -24,7 +24,7 @@ async function launch() {
   const child = spawn(binary(), options, { stdio: ["ignore", "ignore", "ignore", "pipe", "pipe"] });
   const [to, from] = [child.stdio[3], child.stdio[4]];
   const waiting = new Map();
-  const errors = [];
+  const errors = [], asked = [];
   let number = 0, rest = "";
   const fail = (why) => { for (const { reject } of waiting.values()) reject(why); waiting.clear(); };
   child.on("exit", (code) => fail(new Error(`the browser has ended (${code})`)));
@@ -37,6 +37,7 @@ async function launch() {
     for (const part of parts) {
       const said = JSON.parse(part);
       if (said.method === "Runtime.exceptionThrown") errors.push(said.params.exceptionDetails.exception?.description || said.params.exceptionDetails.text);
+      if (said.method === "Network.requestWillBeSent") asked.push(said.params.request.url);
       if (said.method === "Log.entryAdded" && said.params.entry.level === "error") errors.push(said.params.entry.text);
       const call = waiting.get(said.id);
       if (!call) continue;
@@ -59,10 +60,15 @@ async function launch() {
   await call("Page.enable");
   await call("Runtime.enable");
   await call("Log.enable");
+  await call("Network.enable");
   const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
   const page = {
     errors,
+    // Addresses that were asked for, in order.
+    asked,
     sleep,
+    // Runs a script in every page that is opened from now on, before any of the page's own.
+    before: (source) => call("Page.addScriptToEvaluateOnNewDocument", { source }),
     // Runs an expression in the page and returns its value.
     async evaluate(expression) {
       const { result, exceptionDetails } = await call("Runtime.evaluate", { expression, awaitPromise: true, returnByValue: true });
@@ -104,6 +110,12 @@ async function launch() {
       if (file) fs.writeFileSync(file, Buffer.from(data, "base64"));
       return Buffer.from(data, "base64");
     },
+    // The colour of the view at a place of its own, red, green and blue.
+    pixel: (x, y) => page.evaluate(`(() => {
+      const view = document.getElementById("view"), gl = view.getContext("webgl2"), scale = view.width / view.clientWidth, p = new Uint8Array(4);
+      gl.readPixels(Math.floor(${x} * scale), view.height - 1 - Math.floor(${y} * scale), 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, p);
+      return [...p.slice(0, 3)];
+    })()`),
     // How many pixels of the view differ from the ground, and a number that changes with the picture.
     drawn: () => page.evaluate(`(() => {
       const view = document.getElementById("view"), gl = view.getContext("webgl2"), w = view.width, h = view.height, p = new Uint8Array(4 * w * h);

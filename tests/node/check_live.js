@@ -22,6 +22,7 @@ check(async (page) => {
   // The hand comes anew with each state, so what is left is the ground alone once all layers are off.
   assert.equal((await page.drawn()).count, 0, "all layers can be switched off");
   const seen = await page.evaluate("({ status: document.getElementById('status').textContent, surface: document.getElementById('surface-says').textContent, fingers: [...document.querySelectorAll('.finger h3')].map((h) => h.firstChild.textContent) })");
+  assert.deepEqual(page.asked.filter((address) => !address.startsWith(url)), [], "nothing is fetched from elsewhere");
   assert.deepEqual(page.errors, []);
   return seen;
 });

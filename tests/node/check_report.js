@@ -6,6 +6,10 @@ const assert = require("assert");
 const path = require("path");
 const { check } = require("./browser.js");
 
+// sRGB (IEC 61966-2-1), from and to 0 to 255.
+const linear = (c) => (c <= 10.31475 ? c / 3294.6 : ((c / 255 + 0.055) / 1.055) ** 2.4);
+const encoded = (x) => 255 * (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055);
+
 const [file, folder] = process.argv.slice(2);
 
 check(async (page) => {
@@ -51,7 +55,8 @@ check(async (page) => {
   }
 
   // A point says its values, a place its own.
-  const rect = await page.evaluate("(() => { const v = document.getElementById('view'); v.scrollIntoView({ block: 'center' }); const r = v.getBoundingClientRect(); return [r.x, r.y, r.width, r.height]; })()");
+  const centred = () => page.evaluate("(() => { const v = document.getElementById('view'); v.scrollIntoView({ block: 'center' }); const r = v.getBoundingClientRect(); return [r.x, r.y, r.width, r.height]; })()");
+  let rect = await centred();
   const count = await page.evaluate("+document.getElementById('view').dataset.points");
   const picked = () => page.evaluate("document.getElementById('picked').hidden ? '' : document.getElementById('picked').textContent");
   if (count) {
@@ -63,13 +68,44 @@ check(async (page) => {
   }
   await page.clickOn("#layers input[name=points][value=hidden]").catch(() => {});
   const places = [[0.5, 0.35], [0.35, 0.5], [0.5, 0.5], [0.65, 0.5], [0.5, 0.65]];
-  await page.evaluate("document.getElementById('view').scrollIntoView({ block: 'center' })");
+  rect = await centred();
   for (const [x, y] of places) {
     await page.click(rect[0] + x * rect[2], rect[1] + y * rect[3]);
     if ((seen.place = await picked()).startsWith("Patch")) break;
   }
   assert.match(seen.place, /^Patch \d+ at .*\nnormal [-\d., ]+\n[\s\S]*mean curvature/);
   await shot("picked");
+
+  // Colours say what the legend says: at places of the surface, the picked value's colour on the map, at most darkened
+  // by the shade, the same for red, green and blue.
+  const fields = await page.evaluate(`(() => { const scene = JSON.parse(document.getElementById("scene").textContent); return scene.fields.map(({ name, low, high, map }) => ({ name, low, high, colours: [...atob(scene.maps[map])].map((c) => c.charCodeAt(0)) })); })()`);
+  const ticked = inputs.filter((i) => i.kind === "checkbox" && i.on);
+  const tickAll = async () => { for (const { name } of ticked) await page.clickOn(`#layers input[value="${name}"]`); };
+  await tickAll();
+  seen.colours = 0;
+  for (const { name, low, high, colours } of fields) {
+    await page.clickOn(`#layers input[name=surface][value="${name}"]`);
+    rect = await centred();
+    await page.frame();
+    for (const [x, y] of places.map(([x, y]) => [Math.round(x * rect[2]), Math.round(y * rect[3])])) {
+      await page.click(rect[0] + x, rect[1] + y);
+      const said = (await picked()).split("\n").find((line) => line.startsWith(`${name}: `));
+      const value = said ? parseFloat(said.slice(name.length + 2)) : NaN;
+      if (Number.isNaN(value)) continue;
+      const pixel = await page.pixel(x, y), sum = (rgb) => rgb.reduce((all, c) => all + linear(c), 0);
+      const step = Math.max(0, Math.min(255, Math.floor((value - low) / (high - low) * 256)));
+      // A click and a pixel's middle may lie half a pixel apart: colours 2 % of the map away are taken too.
+      const off = Array.from({ length: 9 }, (_, i) => 3 * Math.max(0, Math.min(255, step + i - 4))).map((at) => {
+        const meant = colours.slice(at, at + 3), shade = sum(pixel) / sum(meant);
+        return shade > 0.7 && shade < 1.03 ? Math.max(...pixel.map((c, i) => Math.abs(c - encoded(shade * linear(meant[i]))))) : Infinity;
+      });
+      assert(Math.min(...off) < 5, `${name} ${value}: ${pixel} for ${colours.slice(3 * step, 3 * step + 3)}`);
+      seen.colours++;
+    }
+  }
+  assert(seen.colours >= fields.length, "places of every field");
+  await page.clickOn("#layers input[name=surface]");
+  await tickAll();
 
   // Keyboard.
   await page.frame();
@@ -98,6 +134,13 @@ check(async (page) => {
   await page.size(794, 1123, { media: "print" });
   await page.frame();
   await shot("print", true);
+
+  // Where there is no WebGL the still picture stays, and the rest of the page.
+  await page.before("HTMLCanvasElement.prototype.getContext = () => null;");
+  await page.open("file://" + path.resolve(file));
+  assert.equal(await page.evaluate("document.getElementById('poster').complete && !document.querySelector('#layers input') && !document.querySelector('canvas')"), true);
+  await shot("still");
+  assert.deepEqual(page.asked.filter((url) => !url.startsWith("data:") && url !== "file://" + path.resolve(file)), [], "nothing else is fetched");
   assert.deepEqual(page.errors, []);
   return seen;
 });

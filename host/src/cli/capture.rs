@@ -1,7 +1,7 @@
 //! `palpus capture`: records all fingers into a run.
 
 use super::live::{LiveArgs, Watch};
-use super::{Common, Exit, Failure, outputs, say};
+use super::{Common, Exit, Failure, interruption, outputs, say};
 use palpus_host::hand::Hand;
 use palpus_host::link::port::DEFAULT_BAUD;
 use palpus_host::link::session::Weight;
@@ -12,8 +12,6 @@ use palpus_host::run::capture::{
 use palpus_protocol::Streams;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// Record all fingers into a run, until told to stop (Ctrl-C), or for a time, or for a number of points.
@@ -80,10 +78,7 @@ fn positive_seconds(text: &str) -> Result<f64, String> {
 pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
     outputs::check_file(&args.output)?;
     let hand = Hand::sources(&args.hand).map_err(|e| Failure::new(Exit::Input, e))?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let told = Arc::clone(&stop);
-    ctrlc::set_handler(move || told.store(true, Ordering::Relaxed))
-        .map_err(|e| Failure::new(Exit::Device, e))?;
+    let stop = interruption()?;
     let settings = CaptureSettings {
         replace: args.force,
         baud: args.baud,

@@ -3,7 +3,8 @@
 use super::live::{LiveArgs, Watch};
 use super::progress::PhaseLine;
 use super::reconstruct::{segments, stages};
-use super::{Common, Exit, Failure, outputs, say, simulate};
+use super::simulate::{self, HandArgs};
+use super::{Common, Exit, Failure, interruption, outputs, say};
 use anyhow::Context;
 use palpus_host::cloud::write_ply;
 use palpus_host::demo::{Demo, Step, demo};
@@ -13,10 +14,9 @@ use palpus_host::hand::Hand;
 use palpus_host::picture::{FigureOptions, Page};
 use palpus_host::reconstruct::Options;
 use palpus_host::run::capture::CaptureEvent;
-use palpus_host::simulate::{HandOptions, Noise};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::Ordering;
+use std::sync::{Mutex, PoisonError};
 
 /// Explore an object with a simulated three-finger hand and reconstruct it.
 #[derive(Debug, clap::Args)]
@@ -39,21 +39,8 @@ pub struct Args {
     /// Folder for everything that is written; made if need be.
     #[arg(long, value_name = "DIR", default_value = "palpus-demo")]
     out: PathBuf,
-    /// Everything random follows from this.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Fingers to use, 1 to 3.
-    #[arg(long, value_name = "N", default_value_t = 3)]
-    fingers: usize,
-    /// Imperfection of gauges and encoders: none, default, or how many times the default.
-    #[arg(long, value_name = "none|default|FACTOR", default_value = "default", value_parser = simulate::noise)]
-    noise: Noise,
-    /// Contacts in which the object is gone over once; at 200 Hz and three fingers, 600 a second.
-    #[arg(long, value_name = "N", default_value_t = 6000)]
-    contacts: usize,
-    /// How much faster than 200 Hz the boards sample and the fingers move.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
-    speed: f64,
+    #[command(flatten)]
+    hand: HandArgs,
     /// Largest distance of a contact from the surface, millimetres. Default: from size and noise.
     #[arg(long, value_name = "MM")]
     tolerance: Option<f64>,
@@ -68,12 +55,7 @@ pub struct Args {
 pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
     let device = |e: anyhow::Error| Failure::new(Exit::Device, e);
     let object = simulate::object(&args.object, args.size)?;
-    let mut hand = HandOptions::new(object);
-    hand.fingers = args.fingers;
-    hand.noise = args.noise;
-    hand.contacts = args.contacts;
-    hand.speed = args.speed;
-    hand.seed = args.seed;
+    let hand = args.hand.at(object);
     let options = Options {
         tolerance: args.tolerance,
         threads: args.threads,
@@ -88,16 +70,13 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
             )
         })
         .map_err(|e| Failure::new(Exit::Input, e))?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let told = Arc::clone(&stop);
-    ctrlc::set_handler(move || told.store(true, Ordering::Relaxed))
-        .map_err(|e| device(e.into()))?;
+    let stop = interruption()?;
     let shipped = [("hand.urdf".to_owned(), Hand::THREE_FINGER_URDF.to_owned())];
     let names: Vec<String> = Hand::from_sources(&shipped)
         .map_err(|e| device(e.into()))?
         .fingers()
         .iter()
-        .take(args.fingers)
+        .take(args.hand.fingers)
         .map(|finger| finger.name.clone())
         .collect();
     let line = PhaseLine::new(common);
@@ -116,7 +95,7 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
                 Step::Capture(event) => {
                     let on_screen = watch.as_ref().is_some_and(|watch| watch.show(event));
                     if !on_screen {
-                        tell(event, args.contacts, &line);
+                        tell(event, args.hand.contacts, &line);
                     }
                 }
                 Step::Reconstruct(progress) => {

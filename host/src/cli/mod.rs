@@ -17,6 +17,8 @@ pub mod simulate;
 mod table;
 
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// What every subcommand shares.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -70,4 +72,13 @@ impl Failure {
             error: error.into(),
         }
     }
+}
+
+/// A flag that is set once the program is asked to end (Ctrl-C); to be called once.
+fn interruption() -> Result<Arc<AtomicBool>, Failure> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&stop);
+    ctrlc::set_handler(move || told.store(true, Ordering::Relaxed))
+        .map_err(|e| Failure::new(Exit::Device, e))?;
+    Ok(stop)
 }

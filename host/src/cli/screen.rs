@@ -18,7 +18,7 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::canvas::{Canvas, Line as Stroke, Points};
-use ratatui::widgets::{Block, Paragraph};
+use ratatui::widgets::{Block, Paragraph, Wrap};
 use std::io::{Stderr, stderr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -188,7 +188,8 @@ fn draw(
             Line::styled(text, style)
         })
         .collect();
-    frame.render_widget(Paragraph::new(notes).block(block), foot);
+    let notes = Paragraph::new(notes).wrap(Wrap { trim: false });
+    frame.render_widget(notes.block(block), foot);
 }
 
 /// Contacts and fingers along two axes of the world, to one scale.
@@ -255,15 +256,36 @@ fn projection(
     frame.render_widget(canvas, area);
 }
 
+/// The parts with commas between, in so many letters; if they are too long, as many as fit and how many more there are.
+fn fitting(parts: &[String], room: usize) -> String {
+    let whole = parts.join(", ");
+    if whole.chars().count() <= room {
+        return whole;
+    }
+    (1..parts.len())
+        .rev()
+        .map(|kept| format!("{}, +{} more", parts[..kept].join(", "), parts.len() - kept))
+        .find(|text| text.chars().count() <= room)
+        .unwrap_or_else(|| {
+            let cut: String = whole.chars().take(room.saturating_sub(1)).collect();
+            cut + "…"
+        })
+}
+
 /// Force as a bar and validity, then the link's counters.
 fn finger_lines(finger: &FingerView, color: Color, width: u16) -> [Line<'static>; 2] {
     let status = &finger.status;
-    let name = Span::styled(format!("{:>10} ", finger.name), Style::new().fg(color));
+    let name = format!("{:>10} ", finger.name);
     let touch = finger.last.filter(|_| status.connected);
     let force = touch.map_or(0.0, |touch| touch.contact.normal_force_n);
-    let room = usize::from(width.saturating_sub(60)).clamp(8, 30);
-    let full = ((force / FULL_FORCE_N).clamp(0.0, 1.0) * room as f32).round() as usize;
-    let bar = format!("{}{}", "█".repeat(full), "░".repeat(room - full));
+    let wide = usize::from(width.saturating_sub(60)).clamp(8, 30);
+    let full = ((force / FULL_FORCE_N).clamp(0.0, 1.0) * wide as f32).round() as usize;
+    let bar = format!("{}{}", "█".repeat(full), "░".repeat(wide - full));
+    let force = format!("{force:5.2} N {bar} ");
+    let room = |before: [&str; 2]| {
+        let taken: usize = before.iter().map(|part| part.chars().count()).sum();
+        usize::from(width).saturating_sub(taken)
+    };
     let (state, style) = match touch {
         _ if !status.connected => (
             "SEARCHING for its board".to_owned(),
@@ -272,7 +294,10 @@ fn finger_lines(finger: &FingerView, color: Color, width: u16) -> [Line<'static>
         Some(touch) if touch.contact.is_valid() => {
             ("valid".to_owned(), Style::new().fg(Color::Green))
         }
-        Some(_) => (finger.reasons().join(", "), Style::new()),
+        Some(_) => {
+            let reasons: Vec<String> = finger.reasons().into_iter().map(str::to_owned).collect();
+            (fitting(&reasons, room([&name, &force])), Style::new())
+        }
         None => ("nothing yet".to_owned(), Style::new()),
     };
     let share = if finger.valid_share.is_finite() {
@@ -280,21 +305,30 @@ fn finger_lines(finger: &FingerView, color: Color, width: u16) -> [Line<'static>
     } else {
         String::new()
     };
+    let rate = format!("{:5.0} Hz {share}  ", finger.contacts_per_s);
+    let indent = " ".repeat(name.chars().count());
+    let mut counters = vec![
+        format!("{} contacts", status.contacts),
+        format!("{} lost", status.lost + status.dropped_by_host),
+        format!("{} damaged", status.bad + status.unreadable),
+    ];
+    // Most fingers never have any.
+    for (count, what) in [
+        (status.reconnects, "reconnects"),
+        (status.reboots, "restarts"),
+    ] {
+        if count > 0 {
+            counters.push(format!("{count} {what}"));
+        }
+    }
+    let counters = fitting(&counters, room([&indent, &rate]));
     [
         Line::from(vec![
-            name,
-            Span::raw(format!("{force:5.2} N {bar} ")),
+            Span::styled(name, Style::new().fg(color)),
+            Span::raw(force),
             Span::styled(state, style),
         ]),
-        Line::raw(format!(
-            "           {:5.0} Hz {share}  {} contacts, {} lost, {} damaged, {} reconnects, {} restarts",
-            finger.contacts_per_s,
-            status.contacts,
-            status.lost + status.dropped_by_host,
-            status.bad + status.unreadable,
-            status.reconnects,
-            status.reboots
-        )),
+        Line::raw(indent + &rate + &counters),
     ]
 }
 
@@ -302,6 +336,22 @@ fn finger_lines(finger: &FingerView, color: Color, width: u16) -> [Line<'static>
 mod tests {
     use super::*;
     use ratatui::backend::TestBackend;
+
+    #[test]
+    fn long_lists_say_how_much_more_there_is() {
+        let reasons = ["force below limit", "spin moment above limit", "tare stale"];
+        let reasons = reasons.map(str::to_owned);
+        for (room, text) in [
+            (80, "force below limit, spin moment above limit, tare stale"),
+            (53, "force below limit, spin moment above limit, +1 more"),
+            (50, "force below limit, +2 more"),
+            (20, "force below limit, …"),
+            (1, "…"),
+        ] {
+            assert_eq!(fitting(&reasons, room), text);
+        }
+        assert_eq!(fitting(&[], 5), "");
+    }
 
     #[test]
     fn any_size_of_terminal_and_a_failed_finger_can_be_drawn() {

@@ -1,6 +1,6 @@
 //! `palpus simulate`: a simulated hand on pseudo-terminals, or its tracks alone as a point file.
 
-use super::{Common, Exit, Failure, outputs, say};
+use super::{Common, Exit, Failure, interruption, outputs, say};
 use anyhow::{Context, anyhow};
 use palpus_host::cloud::write_ply;
 use palpus_host::export::{sampled_from_mesh, write_bytes, write_mesh};
@@ -9,12 +9,44 @@ use palpus_host::import::read_mesh;
 use palpus_host::simulate::{HandOptions, Noise, Object, PointSet, SimulateError, SimulatedHand};
 use std::io::IsTerminal;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 /// Longest side given to an object that comes from a mesh file without `--size`, millimetres.
 const MESH_SIDE_MM: f64 = 150.0;
+
+/// What the simulated hand is like, for every command that has one.
+#[derive(Debug, clap::Args)]
+pub struct HandArgs {
+    /// Everything random follows from this.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Fingers to use, 1 to 3.
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    pub fingers: usize,
+    /// Imperfection of gauges and encoders: none, default, or how many times the default.
+    #[arg(long, value_name = "none|default|FACTOR", default_value = "default", value_parser = noise)]
+    pub noise: Noise,
+    /// Contacts in which the whole object is gone over once, at 200 Hz a finger; decides how fast the fingers slide.
+    #[arg(long, value_name = "N", default_value_t = 6000)]
+    pub contacts: usize,
+    /// How much faster than 200 Hz the boards sample and the fingers move.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    pub speed: f64,
+}
+
+impl HandArgs {
+    /// Such a hand at the object.
+    pub fn at(&self, object: Object) -> HandOptions {
+        let mut options = HandOptions::new(object);
+        options.fingers = self.fingers;
+        options.noise = self.noise;
+        options.contacts = self.contacts;
+        options.speed = self.speed;
+        options.seed = self.seed;
+        options
+    }
+}
 
 /// Arguments of `palpus simulate`.
 #[derive(Debug, clap::Args)]
@@ -34,23 +66,8 @@ pub struct Args {
     /// Longest side of an object from a mesh file, in millimetres [default: 150].
     #[arg(long, value_name = "MM")]
     size: Option<f64>,
-    /// Everything random follows from this.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// Fingers to use, 1 to 3.
-    #[arg(long, value_name = "N", default_value_t = 3, conflicts_with = "points")]
-    fingers: usize,
-    /// Imperfection of gauges and encoders: none, default, or how many times the default.
-    #[arg(long, value_name = "none|default|FACTOR", default_value = "default", value_parser = noise, conflicts_with = "points")]
-    noise: Noise,
-    /// Contacts in which the whole object is gone over once; decides how fast the fingers slide.
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 6000,
-        conflicts_with = "points"
-    )]
-    contacts: usize,
+    #[command(flatten)]
+    hand: HandArgs,
     /// Normal force, in newtons.
     #[arg(
         long,
@@ -75,14 +92,6 @@ pub struct Args {
         conflicts_with = "points"
     )]
     spin: f64,
-    /// How much faster than 200 Hz the boards sample and the fingers move.
-    #[arg(
-        long,
-        value_name = "FACTOR",
-        default_value_t = 1.0,
-        conflicts_with = "points"
-    )]
-    speed: f64,
     /// Stop by itself after so many seconds.
     #[arg(long, value_name = "S", conflicts_with = "points")]
     duration: Option<f64>,
@@ -96,7 +105,7 @@ pub struct Args {
     #[arg(long, value_name = "MESH")]
     truth: Option<PathBuf>,
     /// Make this many points of the tracks at once, without boards, and write them to -o.
-    #[arg(long, value_name = "N", requires = "output")]
+    #[arg(long, value_name = "N", requires = "output", conflicts_with_all = ["fingers", "noise", "contacts", "speed"])]
     points: Option<usize>,
     /// Where to write the points (.ply).
     #[arg(short, long, value_name = "FILE", requires = "points")]
@@ -164,7 +173,7 @@ pub fn run(common: &Common, args: Args) -> Result<Exit, Failure> {
                 longest_side: args.longest_side,
                 position_noise: args.position_noise,
                 normal_noise_degrees: args.normal_noise,
-                seed: args.seed,
+                seed: args.hand.seed,
                 ..PointSet::default()
             };
             let cloud = set.points(&object);
@@ -189,20 +198,12 @@ fn boards(common: &Common, args: &Args, object: Object) -> Result<Exit, Failure>
         write_bytes(path, Hand::THREE_FINGER_URDF.as_bytes())
             .map_err(|e| Failure::new(Exit::Usage, e))?;
     }
-    let mut options = HandOptions::new(object);
-    options.fingers = args.fingers;
-    options.noise = args.noise;
-    options.contacts = args.contacts;
+    let mut options = args.hand.at(object);
     options.normal_force_n = args.force;
     options.friction = args.friction;
     options.spin_n_mm = args.spin;
-    options.speed = args.speed;
-    options.seed = args.seed;
 
-    let stop = Arc::new(AtomicBool::new(false));
-    let told = Arc::clone(&stop);
-    ctrlc::set_handler(move || told.store(true, Ordering::Relaxed))
-        .map_err(|e| Failure::new(Exit::Device, e))?;
+    let stop = interruption()?;
     let hand = SimulatedHand::start(&options).map_err(|e| Failure::new(exit_of(&e), e))?;
     print_ports(common, args, &hand);
 

@@ -66,7 +66,7 @@ fn write_report(out: &mut String, report: &Report) -> std::fmt::Result {
             out,
             "tolerance {:.3e}: {}{}",
             error.tolerance,
-            if error.met { "met" } else { "not met" },
+            error.outcome(),
             error
                 .reason
                 .as_ref()

@@ -215,11 +215,32 @@ fn vertex(
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::export::{self, MeshFormat};
     use crate::mesh::{shapes, topology};
     use proptest::prelude::*;
+
+    /// Every content of a file is refused, with its name and the part of the message.
+    pub(crate) fn assert_refused<T>(
+        cases: &[(&str, &[u8], &str)],
+        read: impl Fn(&str, &[u8]) -> Result<T, String>,
+    ) {
+        for (name, bytes, part) in cases {
+            let error = read(name, bytes).err().expect(name);
+            assert!(error.contains(name) && error.contains(part), "{error}");
+        }
+    }
+
+    /// One of the beginnings, then up to so many bytes of any kind.
+    pub(crate) fn bytes_after(
+        starts: &[&'static [u8]],
+        most: usize,
+    ) -> impl Strategy<Value = Vec<u8>> {
+        let start = prop::sample::select(starts.to_vec());
+        (start, prop::collection::vec(any::<u8>(), 0..most))
+            .prop_map(|(start, rest)| [start, &rest].concat())
+    }
 
     #[test]
     fn what_is_written_is_read_back() {
@@ -266,25 +287,21 @@ mod tests {
                 "holds no face",
             ),
         ];
-        for (name, bytes, part) in cases {
-            let error = mesh_from_bytes(name, bytes).unwrap_err().to_string();
-            assert!(error.contains(name) && error.contains(part), "{error}");
-        }
+        assert_refused(&cases, |name, bytes| {
+            mesh_from_bytes(name, bytes).map_err(|e| e.to_string())
+        });
     }
 
     proptest! {
         #[test]
         fn no_bytes_panic(
-            start in prop::sample::select(vec![
-                &b""[..],
+            bytes in bytes_after(&[
+                b"",
                 b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
                 b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n",
                 b"ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nelement face 99999999999\nproperty list uchar int vertex_indices\nend_header\n",
-            ]),
-            rest in prop::collection::vec(any::<u8>(), 0..300),
+            ], 300),
         ) {
-            let mut bytes = start.to_vec();
-            bytes.extend(rest);
             for name in ["a.ply", "a.obj", "a.stl"] {
                 if let Ok(mesh) = mesh_from_bytes(name, &bytes) {
                     prop_assert!((0..mesh.faces.len()).all(|f| mesh.corners(f as u32).is_some()));

@@ -149,12 +149,13 @@ fn time_behind_us(latest_us: u64, time_us: u64) -> u64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use palpus_protocol::ContactFlags;
     use proptest::prelude::*;
 
-    fn contact(sequence: u64) -> Contact {
+    /// A valid contact of that number, counted without end, of a board that samples every 5 ms.
+    pub(crate) fn contact(sequence: u64) -> Contact {
         Contact {
             sequence: (sequence % u64::from(CONTACT_SEQUENCE_MODULUS)) as u32,
             board_time_us: (sequence * 5_000) % CONTACT_TIME_MODULUS_US,

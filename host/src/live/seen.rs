@@ -323,25 +323,14 @@ impl Seen {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use palpus_protocol::Contact;
+    use crate::link::sequence::tests::contact;
 
     /// A valid touch of finger 0 at `x` on the x axis.
     fn touch(x: f64) -> Touch {
         Touch {
             finger: 0,
             sampled_us: 0,
-            contact: Contact {
-                sequence: 0,
-                board_time_us: 0,
-                point_mm: [0.0, 0.0, 20.0],
-                normal: [0.0, 0.0, 1.0],
-                normal_force_n: 2.0,
-                tangential_force_n: 0.1,
-                spin_n_mm: 0.0,
-                sigma_mm: 0.3,
-                joint_angles_rad: [0.0; 3],
-                flags: ContactFlags::none(),
-            },
+            contact: contact(0),
             world: crate::hand::WorldContact {
                 position_mm: Vec3::new(x, 0.0, 0.0),
                 normal: Vec3::x(),

@@ -34,6 +34,7 @@ pub fn page() -> String {
             "map",
             web::base64(&web::colours(crate::picture::ColourMap::Cividis)),
         ),
+        ("three", web::THREE.to_owned()),
         (
             "script",
             format!("{}{}", web::SPACE, include_str!("page/live.js")),

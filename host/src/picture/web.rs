@@ -6,7 +6,10 @@ pub(crate) use super::stages::quantile;
 
 /// Colours, light and dark, and the layout of both pages.
 pub(crate) const STYLE: &str = include_str!("page/style.css");
-/// WebGL drawing, camera, and turning by hand, for both pages.
+/// What the pages use of three.js, which draws the view in space; its licence stands at its head. `page/vendor/three/build`
+/// makes it anew.
+pub(crate) const THREE: &str = include_str!("page/vendor/three/three.min.js");
+/// The view in space of both pages: materials, camera, and turning by hand.
 pub(crate) const SPACE: &str = include_str!("page/space.js");
 
 /// A template with `{{name}}` replaced by the part of that name, in one pass, so that braces in a value are never
@@ -84,6 +87,18 @@ mod tests {
             assert_eq!(base64(plain.as_bytes()), coded);
         }
         assert_eq!(base64(&[0xFB, 0xFF]), "+/8=");
+    }
+
+    /// What was made by `page/vendor/three/build` has not been changed by hand, carries its whole licence, and can stand in a
+    /// page.
+    #[test]
+    fn library_of_the_view_is_the_one_that_was_made_and_carries_its_licence() {
+        let made = crate::export::Origin::of_bytes("three.min.js", THREE.as_bytes());
+        let sum = include_str!("page/vendor/three/three.sha256");
+        assert_eq!(sum.trim(), format!("{}  three.min.js", made.sha256));
+        let head = THREE.split_once("*/").unwrap().0;
+        assert!(head.contains(include_str!("page/vendor/three/LICENSE").trim()));
+        assert!(!THREE.contains("</script") && !THREE.contains("<!--"));
     }
 
     #[test]

@@ -424,12 +424,15 @@ fn run(
         end = Some(why);
         last = refined;
     }
+    let asked = tolerance * frame.scale;
+    let beyond = count_beyond(distances(&data, &last.feet).map(|d| d * frame.scale), asked);
     finish(&mut out, &frame, &extracted, last, &data, &numbers)?;
     judge(
         &mut out.report,
-        tolerance * frame.scale,
+        asked,
         tolerance_from,
         end,
+        beyond,
         &extracted.outliers,
     );
     out.report.seconds = begin.elapsed().as_secs_f64();
@@ -883,6 +886,11 @@ pub(super) fn figures(distances: impl Iterator<Item = f64>) -> ErrorFigures {
     out
 }
 
+/// How many distances are larger than the tolerance.
+pub(super) fn count_beyond(distances: impl Iterator<Item = f64>, tolerance: f64) -> usize {
+    distances.filter(|distance| *distance > tolerance).count()
+}
+
 /// Measures the surface and fills the report.
 fn finish(
     out: &mut Reconstruction,
@@ -941,6 +949,7 @@ pub(super) fn judge(
     tolerance: f64,
     from: &str,
     end: Option<RefineEnd>,
+    beyond: usize,
     outliers: &[usize],
 ) {
     let sigma = report.input.noise_sigma;
@@ -948,6 +957,7 @@ pub(super) fn judge(
         return;
     };
     error.tolerance = tolerance;
+    error.beyond = beyond;
     error.outliers = outliers.len();
     error.outlier_points = outliers.to_vec();
     error.met = error.max <= tolerance;

@@ -4,63 +4,67 @@
   const COLOURS = [[0, 114, 178], [230, 159, 0], [0, 158, 115], [204, 121, 167], [86, 180, 233], [213, 94, 0]];
   const HISTORY = 100;
   const canvas = by("view");
-  const space = openSpace(canvas, { paint: (frame) => paint(frame) });
+  const space = openSpace(canvas);
   themeButton(() => space && space.draw());
   if (!space) {
     canvas.remove();
     by("surface-says").textContent = "This browser shows no WebGL 2; the numbers are shown all the same.";
   }
-  const map = space && space.texture(new Uint8Array(bytes(cividis)));
-  const palette = space && space.texture(new Uint8Array(COLOURS.flat()), true);
+  const map = space && space.colourMap(new Uint8Array(bytes(cividis))), sure = space && space.numbers(map);
+  const palette = space && space.colourMap(new Uint8Array(COLOURS.flat()));
+  const fingers = { low: 0, high: COLOURS.length, map: palette };
+  if (space) by("legend-bar").style.background = ramp(map);
 
   // --- layers --------------------------------------------------------------------------------------------
   const on = {};
-  const layer = (name) => {
+  for (const name of ["surface", "openings", "contacts", "hand"]) {
     on[name] = true;
-    const label = document.createElement("label"), input = document.createElement("input");
-    input.type = "checkbox";
-    input.name = name;
-    input.checked = true;
-    input.addEventListener("change", () => { on[name] = input.checked; space && space.draw(); });
-    label.append(input, name);
-    by("overlays").append(label);
+    tick("overlays", "checkbox", name, name, true, (is) => { on[name] = is; show(); });
+  }
+  const show = () => {
+    if (!space) return;
+    if (surface) [surface.made.visible, surface.borders.visible] = [on.surface, on.openings];
+    for (const { made } of blocks) made.visible = on.contacts;
+    for (const { made, tip } of bones.values()) made.visible = tip.visible = on.hand;
+    space.draw();
   };
-  ["surface", "openings", "contacts", "hand"].forEach(layer);
 
   // --- contacts: kept in blocks, so that new ones never move the old ---------------------------------------
   const BLOCK = 4096;
-  let blocks = [], epoch = null, last = { fingers: [] }, surface = null, box = null;
-  const grow = (p) => {
-    if (!box) box = { low: [...p], high: [...p] };
-    for (let i = 0; i < 3; i++) { box.low[i] = Math.min(box.low[i], p[i]); box.high[i] = Math.max(box.high[i], p[i]); }
-  };
-  const frameAll = () => {
-    if (!box || !space) return;
-    space.home.centre = [0, 1, 2].map((i) => (box.low[i] + box.high[i]) / 2);
-    space.home.radius = Math.max(40, Math.hypot(...[0, 1, 2].map((i) => box.high[i] - box.low[i])) * 0.62);
-  };
+  let blocks = [], epoch = null, last = { fingers: [] }, surface = null;
+  const bones = new Map(), box = space && new THREE.Box3();
   const takePoints = ({ epoch: now, from, data }) => {
+    if (!space) return;
     if (now !== epoch || from === 0) {
-      blocks.forEach((block) => block.made && block.made.free());
-      [blocks, epoch, box] = [[], now, null];
+      blocks.forEach((block) => space.remove(block.made));
+      [blocks, epoch] = [[], now];
+      box.makeEmpty();
     }
-    const view = new DataView(bytes(data));
+    const view = new DataView(bytes(data)), fresh = new Set();
     for (let at = 0; at + 29 <= view.byteLength; at += 29) {
       let block = blocks.at(-1);
-      if (!block || block.count === BLOCK) blocks.push(block = { count: 0, positions: new Float32Array(3 * BLOCK), values: new Float32Array(BLOCK), made: null });
+      if (!block || block.count === BLOCK) {
+        block = { count: 0, positions: new Float32Array(3 * BLOCK), values: new Float32Array(BLOCK) };
+        block.made = space.points(block.positions, 1.7);
+        blocks.push(block);
+      }
       const p = [0, 1, 2].map((i) => view.getFloat32(at + 4 * i, true));
-      grow(p);
+      box.expandByPoint(new THREE.Vector3(...p));
       block.positions.set(p, 3 * block.count);
       block.values[block.count++] = view.getUint8(at + 28) % COLOURS.length;
-      block.stale = true;
+      fresh.add(block);
     }
-    frameAll();
+    for (const { made, positions, values, count } of fresh) {
+      space.move(made, positions, count);
+      space.paintPoints(made, values, fingers);
+    }
+    if (blocks.length) space.frame(box.getCenter(new THREE.Vector3()), Math.max(40, 0.62 * box.getSize(new THREE.Vector3()).length()));
   };
   const takeSurface = (said) => {
     if (said.number && space) {
-      if (surface) [surface.made, surface.borders].forEach((part) => part.free());
-      const triangles = new Uint32Array(bytes(said.triangles));
-      surface = { ...said, made: space.surface(floats(said.positions), floats(said.normals), triangles, floats(said.sigma)), borders: space.lines(floats(said.borders)) };
+      if (surface) [surface.made, surface.borders].forEach(space.remove);
+      surface = { made: space.body(floats(said.positions), floats(said.normals), new Uint32Array(bytes(said.triangles)), sure), borders: space.lines(floats(said.borders), { width: 4, colour: [0.75, 0.1, 0.1] }) };
+      space.paintBody(surface.made, floats(said.sigma), { low: said.low, high: Math.max(said.high, said.low + 1e-9) });
       by("legend").hidden = false;
       by("legend-low").textContent = short(said.low);
       by("legend-high").textContent = short(said.high);
@@ -71,49 +75,28 @@
   };
 
   // --- the hand ------------------------------------------------------------------------------------------
-  let bones = null;
-  const takeHand = (fingers) => {
-    if (!space) return;
-    if (bones) bones.forEach((bone) => bone.made.free());
-    bones = fingers.map((finger, k) => [finger, k]).filter(([{ chain_mm }]) => chain_mm.length > 1).map(([{ chain_mm, connected, last }, k]) => {
-      const ends = [];
-      for (let i = 0; i + 1 < chain_mm.length; i++) ends.push(...chain_mm[i], ...chain_mm[i + 1]);
-      const at = [...chain_mm.at(-1)], values = [k % COLOURS.length];
-      if (last && last.valid) { at.push(...last.at_mm); values.push(k % COLOURS.length); }
-      return { made: space.lines(new Float32Array(ends)), tip: space.points(new Float32Array(at), new Float32Array(values)), colour: connected ? COLOURS[k % COLOURS.length].map((c) => c / 255) : [0.6, 0.6, 0.6] };
+  const takeHand = (all) => {
+    if (space) all.forEach(({ chain_mm, connected, last }, k) => {
+      if (chain_mm.length < 2) return;
+      const ends = new Float32Array(chain_mm.slice(1).flatMap((to, i) => [...chain_mm[i], ...to]));
+      if (!bones.has(k)) bones.set(k, { made: space.lines(ends, { width: 6, opacity: 0.85, colour: [0, 0, 0] }), tip: space.points(new Float32Array(6), 7) });
+      const { made, tip } = bones.get(k), touches = last && last.valid;
+      made.material.color.copy(space.srgb(...(connected ? COLOURS[k % COLOURS.length].map((c) => c / 255) : [0.6, 0.6, 0.6])));
+      space.move(made, ends);
+      space.move(tip, [...chain_mm.at(-1), ...(touches ? last.at_mm : [0, 0, 0])], touches ? 2 : 1);
+      space.paintPoints(tip, [k, k].map((finger) => finger % COLOURS.length), fingers);
     });
-  };
-  const paint = (frame) => {
-    if (surface && on.surface) frame.surface(surface.made, { mode: 1, low: surface.low, high: Math.max(surface.high, surface.low + 1e-9), map });
-    if (surface && on.openings) frame.lines(surface.borders, { width: 4, colour: [0.75, 0.1, 0.1] });
-    if (on.contacts) for (const block of blocks) {
-      if (block.stale) {
-        if (block.made) block.made.free();
-        block.made = space.points(block.positions.subarray(0, 3 * block.count), block.values.subarray(0, block.count));
-        block.stale = false;
-      }
-      frame.points(block.made, { radius: 1.7, low: -0.5, high: COLOURS.length - 0.5, map: palette });
-    }
-    if (on.hand && bones) for (const bone of bones) {
-      frame.lines(bone.made, { width: 6, colour: bone.colour, opacity: 0.85 });
-      frame.points(bone.tip, { radius: 7, low: -0.5, high: COLOURS.length - 0.5, map: palette });
-    }
   };
 
   // --- the fingers' cards --------------------------------------------------------------------------------
   const cards = new Map();
   const card = (name, k) => {
     if (cards.has(name)) return cards.get(name);
-    const box = document.createElement("div");
-    box.className = "finger";
+    const box = create(by("fingers"), "div", "finger");
     box.style.setProperty("--mark", `rgb(${COLOURS[k % COLOURS.length]})`);
-    const part = (parent, tag, kind) => { const made = document.createElement(tag); if (kind) made.className = kind; parent.append(made); return made; };
-    const head = part(box, "h3");
-    head.append(name);
-    const state = part(head, "span"), force = part(box, "div", "force");
-    const made = { box, state, number: part(force, "strong"), graph: part(force, "canvas"), valid: part(box, "p"), why: part(box, "p", "why"), link: part(box, "p"), forces: [] };
+    const head = create(box, "h3", "", name), force = create(box, "div", "force");
+    const made = { box, state: create(head, "span"), number: create(force, "strong"), graph: create(force, "canvas"), valid: create(box, "p"), why: create(box, "p", "why"), link: create(box, "p"), forces: [] };
     made.graph.setAttribute("aria-hidden", "true");
-    by("fingers").append(box);
     cards.set(name, made);
     return made;
   };
@@ -143,10 +126,9 @@
   };
   const takeNotes = (notes) => {
     for (const { at, finger, weight, text } of notes) {
-      const item = document.createElement("li"), time = document.createElement("time");
-      time.textContent = `${at.toFixed(1)} s`;
-      item.className = weight;
-      item.append(time, `${finger}: ${text}`);
+      const item = create(by("notes"), "li", weight);
+      create(item, "time", "", `${at.toFixed(1)} s`);
+      item.append(`${finger}: ${text}`);
       by("notes").prepend(item);
       while (by("notes").children.length > 60) by("notes").lastChild.remove();
     }
@@ -165,12 +147,10 @@
   };
 
   // --- the stream ----------------------------------------------------------------------------------------
-  const colours = new Uint8Array(bytes(cividis));
-  by("legend-bar").style.background = ramp(colours);
   const stream = new EventSource("/events");
   const listen = (name, take) => stream.addEventListener(name, (event) => {
     take(JSON.parse(event.data));
-    if (space) space.draw();
+    show();
   });
   listen("state", takeState);
   listen("points", takePoints);

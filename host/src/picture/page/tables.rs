@@ -68,10 +68,14 @@ impl Facts<'_> {
                     " <strong class=\"good\">{which} lies within the tolerance of {tolerance}.</strong>"
                 );
             } else {
-                let _ = write!(
-                    out,
-                    " <strong class=\"bad\">Not every point lies within the tolerance of {tolerance}.</strong>"
-                );
+                let says = match error.beyond {
+                    0 => format!("Not every point lies within the tolerance of {tolerance}."),
+                    1 => format!("1 point lies farther off than the tolerance of {tolerance}."),
+                    count => {
+                        format!("{count} points lie farther off than the tolerance of {tolerance}.")
+                    }
+                };
+                let _ = write!(out, " <strong class=\"bad\">{says}</strong>");
             }
             if let Some(reason) = &error.reason {
                 let _ = write!(out, " ({})", escaped(bare(reason)));
@@ -167,11 +171,7 @@ impl Facts<'_> {
         if let Some(error) = self.error() {
             row(
                 "Tolerance",
-                format!(
-                    "{}, {}",
-                    self.length(error.tolerance),
-                    if error.met { "met" } else { "not met" }
-                ),
+                format!("{}, {}", self.length(error.tolerance), error.outcome()),
                 &match error.reason.as_deref() {
                     Some(reason) => {
                         format!("Largest distance any point was allowed; {}.", bare(reason))

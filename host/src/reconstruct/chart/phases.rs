@@ -2,7 +2,7 @@
 
 use super::{ChartOptions, FittedChart, fit_chart, refine_chart};
 use crate::mesh::TriangleMesh;
-use crate::reconstruct::driver::{ReconstructError, figures, judge, level_figures};
+use crate::reconstruct::driver::{ReconstructError, count_beyond, figures, judge, level_figures};
 use crate::reconstruct::extract::Extracted;
 use crate::reconstruct::fit::{Datum, Kind};
 use crate::reconstruct::frame::Frame;
@@ -87,12 +87,15 @@ pub(in crate::reconstruct) fn chart_phases(
             foot.is_some_and(|f| (f.point - datum.position).norm() > from.tolerance)
         })
         .count();
+    let asked = from.tolerance * scale;
+    let beyond = count_beyond(distances(from.data, &last.feet).map(|d| d * scale), asked);
     finish(out, from, last)?;
     judge(
         &mut out.report,
-        from.tolerance * scale,
+        asked,
         from.tolerance_from,
         end,
+        beyond,
         &from.extracted.outliers,
     );
     if outside > 0 {
