@@ -177,7 +177,7 @@ impl Ball {
         self.radius * self.fit.value(&((x - self.centre) / self.radius))
     }
 
-    fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
+    pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
         let (f, g) = self
             .fit
             .value_and_gradient(&((x - self.centre) / self.radius));

@@ -1,15 +1,25 @@
 //! Contacts that contradict the others: slips, false touches, flipped normals.
 //!
-//! Two looks. Before anything is fitted, a contact needs neighbours that could lie on one smooth sheet with it
+//! Three looks. Before anything is fitted, a contact needs neighbours that could lie on one smooth sheet with it
 //! ([`unsupported`]); this finds gross errors, which would spoil any fit around them. Once the field is known, a
 //! contact is set aside if the field misses it by many standard deviations *and* no neighbour agrees with it
 //! ([`contradicting`]). The second condition keeps the contacts beside creases: there a smooth field misses
-//! them all, but each side agrees with itself.
+//! them all, but each side agrees with itself. And a false contact that stands alone draws the field to itself, so
+//! the few that many neighbours could not share a sheet with are foretold from the others around them.
+//!
+//! Two ways were weighed for these: weights that fall with the misfit, over and over (the field gives way to a lone
+//! false contact from the start, so that its misfit is small and its weight stays), and leaving out, which costs one
+//! small fit for each of the few. With 5 % of false contacts, up to a hundred standard deviations off, 287 of 300 on five
+//! shapes are found instead of 274, and the surfaces are hardly less true than without any.
 
 use rayon::prelude::*;
 
-use super::{contacts::Normalised, field::BlendedField, smoothing::Levels};
-use crate::cloud::Neighbourhoods;
+use super::{
+    contacts::Normalised,
+    field::{Ball, BlendedField},
+    smoothing::{Cover, Levels},
+};
+use crate::{Vec3, cloud::Neighbourhoods};
 
 /// Neighbours that are asked.
 const ASKED: usize = 12;
@@ -28,6 +38,12 @@ const DEVIATIONS: f64 = 4.5;
 /// surface was half as true).
 const LEAST_POSITION_SIGMA: f64 = 1e-4;
 const LEAST_NORMAL_SIGMA: f64 = 8e-3;
+/// Cosine between the normals of contacts on opposite sides of a wall, at most.
+const OPPOSITE: f64 = -0.5;
+/// Contacts from which a doubtful one is foretold.
+const WITNESSES: usize = 16;
+/// Standard deviations that such a field promises, against those it keeps.
+const TRUST: f64 = 3.0;
 /// If more than this share looks unsupported, the test does not suit the data and nothing is set aside.
 const MOST: f64 = 0.3;
 
@@ -58,32 +74,115 @@ fn shares_a_sheet(data: &Normalised, i: usize, j: usize) -> bool {
         && d.dot(&mean).abs() <= SLOPE * d.norm() * mean.norm()
 }
 
-/// Contacts that the field misses by far and no neighbour confirms.
+/// Contacts that the field misses by far, or that the others do not foretell, and no neighbour confirms. `refit` fits the
+/// contacts of some balls.
 pub(super) fn contradicting(
     data: &Normalised,
     tree: &Neighbourhoods,
     field: &BlendedField,
     levels: &Levels,
+    refit: &dyn Fn(&[Cover]) -> Vec<Option<Ball>>,
 ) -> Vec<bool> {
     let levels = &Levels {
         position_sigma: levels.position_sigma.max(LEAST_POSITION_SIGMA),
         normal_sigma: levels.normal_sigma.max(LEAST_NORMAL_SIGMA),
         ..*levels
     };
-    let found = (0..data.positions.len())
+    let looks: Vec<(Vec3, bool, bool)> = (0..data.positions.len())
         .into_par_iter()
         .map(|i| {
             let (value, gradient) = field.value_and_gradient(&data.positions[i]);
-            let length = gradient.norm();
-            let sigma = levels.position_sigma * data.relative_sigma[i];
-            let off = value.abs() / (length * sigma);
-            let normal = data.normals[i];
-            let tilt = (gradient / length - normal).norm() / levels.normal_sigma;
-            let fits = off <= DEVIATIONS && tilt <= DEVIATIONS;
-            !fits && !confirmed(data, tree, levels, i)
+            let misses = Miss::of(data, levels, i, value, &gradient).is_more_than([1.0; 2]);
+            let confirmed = confirmed(data, tree, levels, i);
+            (
+                gradient,
+                misses && !confirmed,
+                !confirmed && doubtful(data, tree, i),
+            )
         })
         .collect();
+    let (which, around): (Vec<usize>, Vec<Cover>) = (0..looks.len())
+        .filter(|i| looks[*i].2 && !looks[*i].1)
+        .filter_map(|i| {
+            let gradient = looks[i].0;
+            let witness = |j: usize| {
+                !looks[j].2 && data.normals[j].dot(&gradient) > OPPOSITE * gradient.norm()
+            };
+            Some((i, witnesses(data, tree, i, witness)?))
+        })
+        .unzip();
+    let mut found: Vec<bool> = looks.iter().map(|look| look.1).collect();
+    if !which.is_empty() {
+        for (i, ball) in which.into_iter().zip(refit(&around)) {
+            found[i] = ball.is_some_and(|ball| !foretold(data, levels, i, &ball));
+        }
+    }
     keep_if_few(found)
+}
+
+/// How far a field is off a contact, in standard deviations of its position and of its normal.
+struct Miss {
+    off: f64,
+    tilt: f64,
+}
+
+impl Miss {
+    fn of(data: &Normalised, levels: &Levels, i: usize, value: f64, gradient: &Vec3) -> Self {
+        let length = gradient.norm();
+        let sigma = levels.position_sigma * data.relative_sigma[i];
+        Self {
+            off: value.abs() / (length * sigma),
+            tilt: (gradient / length - data.normals[i]).norm() / levels.normal_sigma,
+        }
+    }
+
+    /// Whether it is more than noise, where the field itself scatters by so many times more than the contact.
+    fn is_more_than(&self, [off, tilt]: [f64; 2]) -> bool {
+        !(self.off <= DEVIATIONS * off && self.tilt <= DEVIATIONS * tilt)
+    }
+}
+
+/// Whether many of the neighbours that face the same way cannot lie on one smooth sheet with contact `i`.
+fn doubtful(data: &Normalised, tree: &Neighbourhoods, i: usize) -> bool {
+    let (mut asked, mut sharing) = (0, 0);
+    for (j, _) in tree.nearest(&data.positions[i], ASKED + 1) {
+        if j != i && data.normals[i].dot(&data.normals[j]) > OPPOSITE {
+            asked += 1;
+            sharing += usize::from(shares_a_sheet(data, i, j));
+        }
+    }
+    4 * sharing < 3 * asked
+}
+
+/// The contacts around contact `i` that can tell what is to be expected there.
+fn witnesses(
+    data: &Normalised,
+    tree: &Neighbourhoods,
+    i: usize,
+    witness: impl Fn(usize) -> bool,
+) -> Option<Cover> {
+    let centre = data.positions[i];
+    let near: Vec<(usize, f64)> = (tree.nearest(&centre, 4 * WITNESSES).into_iter())
+        .filter(|(j, _)| *j != i && witness(*j))
+        .take(WITNESSES)
+        .collect();
+    let farthest = near.get(WITNESSES - 1)?.1;
+    Some(Cover {
+        centre,
+        radius: farthest.sqrt(),
+        members: near.iter().map(|(j, _)| *j as u32).collect(),
+    })
+}
+
+/// Whether the field through the others around contact `i` foretells it. A false contact that stands alone draws a
+/// smooth field to itself, which then misses it by little.
+fn foretold(data: &Normalised, levels: &Levels, i: usize, others: &Ball) -> bool {
+    let (value, gradient) = others.value_and_gradient(&data.positions[i]);
+    let sigma = TRUST * others.radius * others.fit.centre_variance.sqrt();
+    let spread = |own: f64, sigma: f64| (sigma / own).hypot(1.0);
+    let off = spread(levels.position_sigma * data.relative_sigma[i], sigma);
+    let tilt = spread(levels.normal_sigma, 2.0 * sigma / others.radius);
+    !Miss::of(data, levels, i, value, &gradient).is_more_than([off, tilt])
 }
 
 /// Whether enough neighbours have the same normal and tangent plane up to the noise.
