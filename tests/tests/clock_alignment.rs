@@ -152,11 +152,11 @@ fn three_boards_agree_within_200_us_after_10_s_of_5_ms_jitter_and_100_ppm() {
 }
 
 #[test]
-fn damaged_bytes_and_a_slow_line_cost_little() {
+fn so_they_do_with_damaged_bytes_and_on_a_slow_line() {
     // With one byte in a thousand damaged a twentieth of the frames is lost. On the slow line contacts leave room for 21
-    // round trips a second, whose answers wait for the contact before them.
+    // round trips a second, whose answers wait for the contact before them; the contacts themselves show the way back.
     let damaged = all_sets("USB, 0.1 % of the bytes damaged", None, 0.001);
-    assert!(damaged.apart_worst < 400.0, "{} us", damaged.apart_worst);
+    assert!(damaged.apart_worst < 200.0, "{} us", damaged.apart_worst);
     let slow = all_sets("UART at 115 200 Bd", Some(DEFAULT_BAUD), 0.0);
-    assert!(slow.apart_worst < 1_000.0, "{} us", slow.apart_worst);
+    assert!(slow.apart_worst < 200.0, "{} us", slow.apart_worst);
 }

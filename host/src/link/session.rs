@@ -361,6 +361,11 @@ impl Session {
                     Arrival::First | Arrival::Late | Arrival::Duplicate => {}
                 }
                 let taken_us = made.widen_time_us(self.board_us);
+                if let Arrival::First | Arrival::After { .. } = arrival {
+                    let arrived_us = at_us - self.wire.of(wire.len() + 1);
+                    self.filter
+                        .hear(arrived_us, i64::try_from(taken_us).unwrap_or(i64::MAX));
+                }
                 if let Some(fit) = self.filter.fit() {
                     sampled_us = fit.host_us(i64::try_from(taken_us).unwrap_or(i64::MAX));
                 }
