@@ -220,6 +220,14 @@ fn what_would_take_minutes_or_more_memory_than_allowed_is_refused_or_ended() {
     let outcome = ask("--max-memory 4");
     assert_eq!(outcome.code, 3, "{outcome:?}");
     assert!(outcome.stderr.contains("4194304 allowed"), "{outcome:?}");
+    // What is too fine to be made keeps nothing else from being written.
+    let outcome = ask("--mesh m.stl --mesh-step 1e-30 -o s.json --report r.json");
+    assert_eq!(outcome.code, 3, "{outcome:?}");
+    for words in ["m.stl: ", "sample more coarsely", "2147483648 allowed"] {
+        assert!(outcome.stderr.contains(words), "{outcome:?}");
+    }
+    let there = |name: &str| folder.path().join(name).exists();
+    assert!(there("s.json") && there("r.json") && !there("m.stl"));
     // 32 MB are 83 patches.
     let outcome = ask("--max-memory 32 --tolerance 1e-9");
     assert_eq!(outcome.code, 0, "{outcome:?}");

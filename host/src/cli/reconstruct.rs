@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow};
 use palpus_host::cloud::{self, Cloud};
 use palpus_host::export::surface_file::Provenance;
 use palpus_host::export::{
-    MeshFormat, Origin, SurfaceFile, sampled_from_mesh, step, write_bytes, write_mesh,
+    MeshFormat, Origin, SurfaceFile, check_memory, sampled_from_mesh, step, write_bytes, write_mesh,
 };
 use palpus_host::picture::{FigureOptions, Page, Stages, View};
 use palpus_host::reconstruct::creases::CreaseOptions;
@@ -14,11 +14,11 @@ use palpus_host::reconstruct::extract;
 use palpus_host::reconstruct::fit::NormalTerm;
 use palpus_host::reconstruct::{Options, ReconstructError, Reconstruction, Stage, reconstruct};
 use palpus_host::run::points::points;
-use palpus_host::spline::{SampledSurface, Surface};
+use palpus_host::spline::{Fineness, SampledSurface, Surface};
 use std::borrow::Cow;
 use std::fs::File;
 use std::io::Read;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -105,8 +105,8 @@ pub struct Args {
     /// Make everything smooth: look for no creases.
     #[arg(long, help_heading = "What surface")]
     no_creases: bool,
-    /// Most memory that extraction and fit may take, in MB: estimated before it is taken. Refinement ends before it
-    /// would take more.
+    /// Most memory that extraction, simplification, fit and meshes may each take, in MB: estimated before it is taken.
+    /// Refinement ends before it would take more.
     #[arg(
         long,
         help_heading = "Running",
@@ -377,12 +377,13 @@ fn write(args: &Args, cloud: &Cloud, result: &Reconstruction) -> Result<(), Fail
         .draw(folder, &figures)
         .map_err(|e| input(e.into()))?;
     }
-    for path in &args.mesh {
-        let sampled = sample(args, result).map_err(input)?;
-        write_mesh(path, &sampled).map_err(|e| input(e.into()))?;
-    }
     if let Some(path) = &args.report {
         write_bytes(path, result.report.to_json().as_bytes()).map_err(|e| input(e.into()))?;
+    }
+    // Last: what is too fine for the memory allowed keeps nothing else from being written.
+    for path in &args.mesh {
+        let sampled = sample(args, result, path).map_err(input)?;
+        write_mesh(path, &sampled).map_err(|e| input(e.into()))?;
     }
     Ok(())
 }
@@ -413,17 +414,20 @@ pub fn stages<'a>(cloud: &'a Cloud, result: &'a Reconstruction) -> Stages<'a> {
     }
 }
 
-/// The triangles of the last stage that ran.
-fn sample(args: &Args, result: &Reconstruction) -> anyhow::Result<SampledSurface> {
+/// The triangles of the last stage that ran, for a mesh to be written to `path`.
+fn sample(args: &Args, result: &Reconstruction, path: &Path) -> anyhow::Result<SampledSurface> {
+    let fineness = |patches: usize| match (args.mesh_step, args.mesh_chord) {
+        (Some(step), _) => Fineness::Step(step),
+        (None, Some(chord)) => Fineness::Chord(chord),
+        (None, None) => {
+            Fineness::Segments(args.mesh_per_patch.unwrap_or_else(|| segments(patches)))
+        }
+    };
+    let limit = args.max_memory.saturating_mul(1 << 20);
     if let Some(chart) = &result.chart {
-        let mut sampled = match (args.mesh_step, args.mesh_chord) {
-            (Some(step), _) => chart.sample(step),
-            (None, Some(chord)) => chart.sample_chord(chord),
-            (None, None) => chart.sample_per_patch(
-                args.mesh_per_patch
-                    .unwrap_or_else(|| segments(chart.inner_triangles().len())),
-            ),
-        };
+        let fineness = fineness(chart.inner_triangles().len());
+        check_memory(path, chart.triangles_at(fineness), true, limit)?;
+        let mut sampled = chart.sample_to(fineness);
         if args.mesh_curvature {
             chart.add_curvature(&mut sampled);
         }
@@ -434,14 +438,9 @@ fn sample(args: &Args, result: &Reconstruction) -> anyhow::Result<SampledSurface
             result.simplified.as_ref().unwrap_or(&result.extracted),
         ));
     };
-    let mut sampled = match (args.mesh_step, args.mesh_chord) {
-        (Some(step), _) => surface.sample(step)?,
-        (None, Some(chord)) => surface.sample_chord(chord)?,
-        (None, None) => surface.sample_per_patch(
-            args.mesh_per_patch
-                .unwrap_or_else(|| segments(surface.faces.len())),
-        )?,
-    };
+    let fineness = fineness(surface.faces.len());
+    check_memory(path, surface.triangles_at(fineness)?, false, limit)?;
+    let mut sampled = surface.sample_to(fineness)?;
     if args.mesh_curvature {
         surface.add_curvature(&mut sampled);
     }

@@ -119,6 +119,18 @@ pub enum ReconstructError {
         /// Bytes allowed.
         limit: usize,
     },
+    /// The extracted mesh takes more memory to simplify than allowed.
+    #[error(
+        "simplifying {triangles} triangles would take about {needed} bytes, more than the {limit} allowed: allow more memory or hand in fewer contacts"
+    )]
+    TooManyTriangles {
+        /// Triangles of the extracted mesh.
+        triangles: usize,
+        /// Bytes it would take.
+        needed: usize,
+        /// Bytes allowed.
+        limit: usize,
+    },
     /// Phase 1 failed.
     #[error("extraction: {0}")]
     Extract(#[from] ExtractError),
@@ -227,6 +239,8 @@ const MOST_ROUNDS: usize = 100;
 /// Bytes that a fit takes for each patch: the equations' pattern, values and factor. Measured on a ball and a clean scan
 /// of 190 to 4150 patches: 260 000 to 360 000.
 const FIT_BYTES_PER_PATCH: usize = 400_000;
+/// Bytes that simplification takes per triangle of the extracted mesh; measured at 570 above what extraction took.
+const SIMPLIFY_BYTES_PER_TRIANGLE: usize = 800;
 
 /// Accuracy of the base mesh against the tolerance, and against the noise. Patches that miss the field's surface by 0.3
 /// of the noise add nothing to the error that the data leave (15 noisy sets of smooth shapes: median 0.69e-3 of the
@@ -310,6 +324,7 @@ fn run(
     }
 
     progress(Progress::Phase("simplify"));
+    check_triangles(extracted.mesh.faces.len(), options)?;
     let started = Instant::now();
     let (tolerance, tolerance_from) =
         tolerance(options, &frame, cloud.diagonal(), noise.position_sigma);
@@ -500,6 +515,19 @@ fn check_memory(patches: usize, options: &Options) -> Result<(), ReconstructErro
     if needed > options.extract.max_memory {
         return Err(ReconstructError::TooMuchMemory {
             patches,
+            needed,
+            limit: options.extract.max_memory,
+        });
+    }
+    Ok(())
+}
+
+/// Refuses a simplification that would take more memory than allowed, before it takes any.
+fn check_triangles(triangles: usize, options: &Options) -> Result<(), ReconstructError> {
+    let needed = triangles.saturating_mul(SIMPLIFY_BYTES_PER_TRIANGLE);
+    if needed > options.extract.max_memory {
+        return Err(ReconstructError::TooManyTriangles {
+            triangles,
             needed,
             limit: options.extract.max_memory,
         });

@@ -14,5 +14,5 @@ pub mod simplex;
 mod surface;
 
 pub use measures::{Measures, PLACES, Topology, angle_degrees, patch_regularity};
-pub use sampling::{MAX_SEGMENTS, SampledSurface};
+pub use sampling::{Fineness, MAX_SEGMENTS, SampledSurface};
 pub use surface::{Surface, SurfaceError, casteljau, combine};

@@ -5,7 +5,7 @@
 //! regular grid, joined to its three edges by strips. So neighbours of different fineness still meet.
 
 use super::bernstein::{DEGREE, edge_index};
-use super::edges::{EdgeTable, Sectors};
+use super::edges::{EdgeTable, Sectors, Side};
 use super::surface::{Surface, SurfaceError};
 use crate::Vec3;
 use std::collections::BTreeSet;
@@ -32,47 +32,76 @@ pub struct SampledSurface {
 /// Most segments a patch edge is cut into.
 pub const MAX_SEGMENTS: usize = 512;
 
+/// How finely a surface is cut into triangles.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Fineness {
+    /// Every patch edge into so many segments.
+    Segments(usize),
+    /// Triangles whose edges are about so long, in the unit of the surface.
+    Step(f64),
+    /// No triangle further than this from the surface, in its unit; each patch only as finely as it needs.
+    Chord(f64),
+}
+
+/// As many segments as are wanted and can be had.
+pub(super) fn segments(wanted: f64) -> usize {
+    // A float beyond all integers becomes the largest one.
+    (wanted.ceil() as usize).clamp(1, MAX_SEGMENTS)
+}
+
 impl Surface {
+    /// Samples as finely as asked for, but with at most [`MAX_SEGMENTS`] segments an edge.
+    ///
+    /// # Errors
+    /// A surface that is no valid network.
+    pub fn sample_to(&self, fineness: Fineness) -> Result<SampledSurface, SurfaceError> {
+        let table = self.check()?;
+        let wanted = self.segments_wanted(&table, fineness);
+        let per_edge: Vec<usize> = wanted.into_iter().map(segments).collect();
+        Ok(self.sample_edges(&table, &per_edge))
+    }
+
+    /// About how many triangles that fineness asks for, without a limit: to be told before any is made.
+    ///
+    /// # Errors
+    /// A surface that is no valid network.
+    pub fn triangles_at(&self, fineness: Fineness) -> Result<f64, SurfaceError> {
+        let table = self.check()?;
+        let wanted = self.segments_wanted(&table, fineness);
+        let finest = |edges: &[u32; 3]| {
+            let of_edges = edges.iter().map(|e| wanted[*e as usize]);
+            of_edges.fold(1.0, f64::max).powi(2)
+        };
+        Ok(table.of_face.iter().map(finest).sum())
+    }
+
+    /// Segments of every edge.
+    fn segments_wanted(&self, table: &EdgeTable, fineness: Fineness) -> Vec<f64> {
+        match fineness {
+            Fineness::Segments(count) => vec![count as f64; table.edges.len()],
+            Fineness::Step(step) => self.segments_by_step(table, step),
+            Fineness::Chord(tolerance) => self.segments_by_chord(table, tolerance),
+        }
+    }
+
     /// Samples every patch as `segments`^2 triangles (1 ..= [`MAX_SEGMENTS`]).
     ///
     /// # Errors
     /// A surface that is no valid network.
     pub fn sample_per_patch(&self, segments: usize) -> Result<SampledSurface, SurfaceError> {
-        let table = self.check()?;
-        let all = vec![segments.clamp(1, MAX_SEGMENTS); table.edges.len()];
-        Ok(self.sample_edges(&table, &all))
+        self.sample_to(Fineness::Segments(segments))
     }
 
-    /// Samples with triangles whose edges are about `step` long, in the unit of the surface.
-    ///
-    /// # Errors
-    /// A surface that is no valid network.
-    pub fn sample(&self, step: f64) -> Result<SampledSurface, SurfaceError> {
-        let table = self.check()?;
-        let per_edge: Vec<usize> = table
-            .edges
-            .iter()
-            .map(|edge| {
-                let side = edge.sides.iter().flatten().next();
-                let length = side.map_or(0.0, |side| {
-                    let points = &self.control_points[side.face as usize];
-                    (0..DEGREE)
-                        .map(|k| {
-                            let local = usize::from(side.local);
-                            (points[edge_index(local, 0, k + 1)] - points[edge_index(local, 0, k)])
-                                .norm()
-                        })
-                        .sum()
-                });
-                let wanted = (length / step).ceil();
-                if wanted >= 1.0 {
-                    (wanted as usize).min(MAX_SEGMENTS)
-                } else {
-                    1
-                }
-            })
-            .collect();
-        Ok(self.sample_edges(&table, &per_edge))
+    /// Segments of every edge that make the triangles' edges about `step` long.
+    fn segments_by_step(&self, table: &EdgeTable, step: f64) -> Vec<f64> {
+        let length = |side: &Side| {
+            let points = &self.control_points[side.face as usize];
+            let local = usize::from(side.local);
+            let leg = |k| points[edge_index(local, 0, k + 1)] - points[edge_index(local, 0, k)];
+            (0..DEGREE).map(|k| leg(k).norm()).sum::<f64>()
+        };
+        let sides = table.edges.iter().map(|e| e.sides.iter().flatten().next());
+        sides.map(|side| side.map_or(0.0, length) / step).collect()
     }
 
     /// Fills in mean and Gaussian curvature at the sampled points; 0 where the surface is not regular.
@@ -330,7 +359,7 @@ mod tests {
             } else {
                 Vec::new()
             };
-            let sampled = surface.sample(step).unwrap();
+            let sampled = surface.sample_to(Fineness::Step(step)).unwrap();
             assert!((volume(&sampled) - 0.2).abs() < 1e-12);
             // Merge by bits: every edge must then have exactly two sides.
             let mut seen = std::collections::BTreeMap::new();

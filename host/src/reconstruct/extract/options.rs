@@ -34,7 +34,7 @@ pub struct Options {
     /// Widest gap of the data that is closed, as the diameter of a disc that fits into it, in the unit of the
     /// input; from the data, hole by hole, if `None`.
     pub max_gap: Option<f64>,
-    /// Most bytes the extraction may take, and the fit after it; refused beforehand if it would take more.
+    /// Most bytes that extraction, simplification and fit may each take; refused beforehand if one would take more.
     pub max_memory: usize,
     /// Told what the lattice will take, before it is made; more than once where it is made again.
     pub announce: fn(Estimate),

@@ -1,6 +1,6 @@
 //! Triangles of a chart for viewers and printers, up to the border of its region.
 
-use super::super::sampling::{MAX_SEGMENTS, SampledSurface};
+use super::super::sampling::{Fineness, MAX_SEGMENTS, SampledSurface, segments};
 use super::super::simplex::{Vec2, Workspace};
 use super::partition::{Partition, quality};
 use super::pieces::compact;
@@ -13,6 +13,25 @@ use std::collections::BTreeMap;
 const ONTO_BORDER: f64 = 0.3;
 
 impl Chart {
+    /// Samples as finely as asked for, but with at most [`MAX_SEGMENTS`] segments an edge of the net.
+    pub fn sample_to(&self, fineness: Fineness) -> SampledSurface {
+        self.sample_per_patch(segments(self.segments_wanted(fineness)))
+    }
+
+    /// About how many triangles that fineness asks for, without a limit: to be told before any is made.
+    pub fn triangles_at(&self, fineness: Fineness) -> f64 {
+        let per_edge = self.segments_wanted(fineness).max(1.0);
+        self.inner_triangles().len() as f64 * per_edge.powi(2)
+    }
+
+    fn segments_wanted(&self, fineness: Fineness) -> f64 {
+        match fineness {
+            Fineness::Segments(count) => count as f64,
+            Fineness::Step(step) => self.segments_by_step(step),
+            Fineness::Chord(tolerance) => self.segments_by_chord(tolerance),
+        }
+    }
+
     /// Samples every triangle of the net as `segments`^2 triangles, cut along the border of the region. Normals are
     /// exact.
     pub fn sample_per_patch(&self, segments: usize) -> SampledSurface {
@@ -82,8 +101,8 @@ impl Chart {
             .collect();
     }
 
-    /// Samples with triangles whose edges are about `step` long, in the unit of the surface.
-    pub fn sample(&self, step: f64) -> SampledSurface {
+    /// Segments that make the triangles' edges about `step` long.
+    fn segments_by_step(&self, step: f64) -> f64 {
         let mut workspace = Workspace::default();
         let mut longest = 0.0_f64;
         for triangle in self.inner_triangles() {
@@ -96,13 +115,12 @@ impl Chart {
                 }
             }
         }
-        self.sample_per_patch((longest / step).ceil().clamp(1.0, MAX_SEGMENTS as f64) as usize)
+        longest / step
     }
 
-    /// Samples evenly, so finely that no triangle of the net bends away from its samples by more than `tolerance`: the
-    /// second derivatives at a grid over the net give the bound of Filip, Magedson and Markot (1986), with a half to spare for
+    /// Segments with which no triangle of the net bends away from its samples by more than `tolerance`: the second derivatives at a grid over the net give the bound of Filip, Magedson and Markot (1986), with a half to spare for
     /// what lies between the grid's points.
-    pub fn sample_chord(&self, tolerance: f64) -> SampledSurface {
+    fn segments_by_chord(&self, tolerance: f64) -> f64 {
         const GRID: usize = 12;
         const SPARE: f64 = 1.5;
         let most = self
@@ -129,8 +147,7 @@ impl Chart {
                 most
             })
             .reduce(|| 0.0, f64::max);
-        let segments = (SPARE * most / (8.0 * tolerance)).sqrt().ceil();
-        self.sample_per_patch(segments.clamp(1.0, MAX_SEGMENTS as f64) as usize)
+        (SPARE * most / (8.0 * tolerance)).sqrt()
     }
 
     /// Points, triangles and the net's triangle of each.

@@ -5,42 +5,29 @@
 //! (Filip, Magedson, Markot 1986); the control points of the derivatives bound them (convex hull property).
 
 use super::super::bernstein::{CONTROL_POINTS, EXPONENTS, index};
-use super::super::sampling::{MAX_SEGMENTS, SampledSurface};
-use super::super::surface::{Surface, SurfaceError};
+use super::super::edges::{Edge, EdgeTable};
+use super::super::surface::Surface;
 use crate::Vec3;
 
 /// Strips between a fine edge and the inner rows have triangles with legs up to this many steps long.
 const STRIP: f64 = 1.5;
 
 impl Surface {
-    /// Samples so that no triangle is farther than `tolerance` from the surface, each patch only as finely as it
-    /// needs; at most [`MAX_SEGMENTS`] segments an edge.
-    ///
-    /// # Errors
-    /// A surface that is no valid network.
-    pub fn sample_chord(&self, tolerance: f64) -> Result<SampledSurface, SurfaceError> {
-        let table = self.check()?;
-        let of_face: Vec<usize> = self
-            .control_points
-            .iter()
-            .map(|points| {
-                let wanted = STRIP * (bend(points) / (8.0 * tolerance)).sqrt();
-                if wanted.is_finite() {
-                    (wanted.ceil() as usize).clamp(1, MAX_SEGMENTS)
-                } else {
-                    MAX_SEGMENTS
-                }
-            })
-            .collect();
-        let of_edge: Vec<usize> = table
-            .edges
-            .iter()
-            .map(|edge| {
-                let faces = edge.sides.iter().flatten();
-                faces.map(|s| of_face[s.face as usize]).max().unwrap_or(1)
-            })
-            .collect();
-        Ok(self.sample_edges(&table, &of_edge))
+    /// Segments of every edge with which no triangle is farther than `tolerance` from the surface.
+    pub(in super::super) fn segments_by_chord(
+        &self,
+        table: &EdgeTable,
+        tolerance: f64,
+    ) -> Vec<f64> {
+        let wanted = |face: u32| {
+            let bend = bend(&self.control_points[face as usize]);
+            STRIP * (bend / (8.0 * tolerance)).sqrt()
+        };
+        let of_edge = |edge: &Edge| {
+            let faces = edge.sides.iter().flatten();
+            faces.map(|s| wanted(s.face)).fold(1.0, f64::max)
+        };
+        table.edges.iter().map(of_edge).collect()
     }
 }
 
@@ -68,13 +55,14 @@ fn bend(points: &[Vec3; CONTROL_POINTS]) -> f64 {
 mod tests {
     use super::super::SurfaceTree;
     use crate::export::shapes;
+    use crate::spline::Fineness;
 
     #[test]
     fn triangles_keep_to_the_tolerance_and_flat_patches_stay_whole() {
         let surface = shapes::torus();
         let tree = SurfaceTree::new(&surface);
         for tolerance in [0.02, 0.002] {
-            let sampled = surface.sample_chord(tolerance).unwrap();
+            let sampled = surface.sample_to(Fineness::Chord(tolerance)).unwrap();
             let mut worst = 0.0_f64;
             for corners in sampled.triangles.iter().step_by(7) {
                 let [a, b, c] = corners.map(|v| sampled.positions[v as usize]);
@@ -92,7 +80,11 @@ mod tests {
             assert!(worst > 0.05 * tolerance, "{worst} {tolerance}");
         }
         assert_eq!(
-            shapes::cube().sample_chord(1e-6).unwrap().triangles.len(),
+            shapes::cube()
+                .sample_to(Fineness::Chord(1e-6))
+                .unwrap()
+                .triangles
+                .len(),
             12
         );
     }
