@@ -1,6 +1,7 @@
 //! Inputs that reach deep into each target: one or more of each kind a user has.
 
 use super::link::framed;
+use super::points::USUAL;
 use crate::patches::lumpy_sphere;
 use palpus_host::Vec3;
 use palpus_host::cloud::{self, Cloud, OrientedPoint};
@@ -391,5 +392,12 @@ pub fn points() -> Vec<Vec<u8>> {
         small(0, &[[1, 2, 3, 0, 0, 1]; 9]),
     ];
     all.extend((0..8).map(|kind| doubles(kind, &ball(40 + 10 * usize::from(kind)))));
+    // All with little to do, and some as a user would have them.
+    let usual = [0, 1, 2, 8, 9, 10].map(|n: usize| {
+        let mut seed = all[n].clone();
+        seed[0] |= USUAL;
+        seed
+    });
+    all.extend(usual);
     all
 }
