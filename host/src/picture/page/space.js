@@ -218,8 +218,9 @@ function openSpace(canvas, pick) {
     const [hit] = made ? caster.intersectObject(made) : [], pixel = 2 * Math.tan(camera.fov * Math.PI / 360) / canvas.clientHeight;
     if (!dots) return { hit };
     const wide = (dots.material.size / 2 + 4) * pixel;
-    caster.params.Points.threshold = 2 * wide * controls.getDistance();
-    const away = (dot) => dot.distanceToRay / dot.distance;
+    // What three.js calls the distance to the ray is in the dots' own unit, before the world is scaled.
+    caster.params.Points.threshold = 2 * wide * controls.getDistance() / world.scale.x;
+    const away = (dot) => dot.distanceToRay * world.scale.x / dot.distance;
     const near = caster.intersectObject(dots).filter((dot) => away(dot) < wide && (!hit || dot.distance < hit.distance + 0.015 * controls.getDistance()));
     return { hit, dot: near.sort((a, b) => away(a) - away(b))[0] };
   };
