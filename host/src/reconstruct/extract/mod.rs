@@ -638,7 +638,7 @@ mod tests {
         for i in (10..600).step_by(60) {
             let p = &mut cloud.points[i];
             // Nobody is left near it, and it leans away, so that no neighbour sees it on the wrong side.
-            p.position += 8.0 * noise * p.normal;
+            p.position += 12.0 * noise * p.normal;
             p.normal = (p.normal + p.normal.cross(&Vec3::new(0.3, 0.5, 0.8)).normalize() * 2.5)
                 .normalize();
             bad.push(p.position);
