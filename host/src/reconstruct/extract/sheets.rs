@@ -22,8 +22,13 @@ const SAY_SPACINGS: f64 = 8.0;
 const EDGE_SPACINGS: f64 = 5.0;
 /// Mean angle between neighbouring normals of two sheets from which they form an edge, radians (30 degrees).
 const EDGE_TURN: f64 = 0.52;
-/// Kernel of a sheet: quadratic polynomials are carried on past a sheet's end without swinging.
-const KERNEL: Kernel = Kernel::Quintic;
+/// Kernel of a sheet: quadratic polynomials are carried on past the end of a bent sheet without swinging, planes past
+/// that of a flat one.
+const BENT: Kernel = Kernel::Quintic;
+const FLAT: Kernel = Kernel::Cubic;
+/// Standard deviations, and radians, within which all normals of a flat sheet lie around their mean.
+const FLAT_DEVIATIONS: f64 = 4.0;
+const FLAT_ANGLE: f64 = 0.01;
 
 /// How two sheets meet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,8 +83,13 @@ impl SheetField {
             let tree = Neighbourhoods::new(own.positions.clone());
             let count = neighbours.min(own.positions.len());
             let covers = smoothing::cover(&own.positions, &tree, count, super::COVERED);
-            let levels = smoothing::with_smoothness(KERNEL, &own, &covers, levels);
-            let field = build_field(KERNEL, &own, &covers, &[], &levels)?;
+            let kernel = if is_flat(&own.normals, levels) {
+                FLAT
+            } else {
+                BENT
+            };
+            let levels = smoothing::with_smoothness(kernel, &own, &covers, levels);
+            let field = build_field(kernel, &own, &covers, &[], &levels)?;
             sheets.push(Sheet {
                 field,
                 contacts: tree,
@@ -223,6 +233,13 @@ impl SheetField {
     pub(super) fn bytes(&self) -> usize {
         self.sheets.iter().map(|s| s.field.bytes()).sum()
     }
+}
+
+/// Whether normals show no curvature.
+fn is_flat(normals: &[Vec3], levels: &Levels) -> bool {
+    let mean = crate::mesh::unit_or_zero(normals.iter().sum());
+    let limit = FLAT_ANGLE + FLAT_DEVIATIONS * levels.normal_sigma;
+    normals.iter().all(|n| n.angle(&mean) < limit)
 }
 
 #[cfg(test)]
