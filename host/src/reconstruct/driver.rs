@@ -509,30 +509,34 @@ fn most_patches(options: &Options) -> usize {
     options.max_patches.min(by_memory)
 }
 
+/// Bytes that `count` things take, if that is more memory than allowed.
+fn too_much(count: usize, bytes_each: usize, options: &Options) -> Option<usize> {
+    let needed = count.saturating_mul(bytes_each);
+    (needed > options.extract.max_memory).then_some(needed)
+}
+
 /// Refuses a fit that would take more memory than allowed, before it takes any.
 fn check_memory(patches: usize, options: &Options) -> Result<(), ReconstructError> {
-    let needed = patches.saturating_mul(FIT_BYTES_PER_PATCH);
-    if needed > options.extract.max_memory {
-        return Err(ReconstructError::TooMuchMemory {
+    match too_much(patches, FIT_BYTES_PER_PATCH, options) {
+        None => Ok(()),
+        Some(needed) => Err(ReconstructError::TooMuchMemory {
             patches,
             needed,
             limit: options.extract.max_memory,
-        });
+        }),
     }
-    Ok(())
 }
 
 /// Refuses a simplification that would take more memory than allowed, before it takes any.
 fn check_triangles(triangles: usize, options: &Options) -> Result<(), ReconstructError> {
-    let needed = triangles.saturating_mul(SIMPLIFY_BYTES_PER_TRIANGLE);
-    if needed > options.extract.max_memory {
-        return Err(ReconstructError::TooManyTriangles {
+    match too_much(triangles, SIMPLIFY_BYTES_PER_TRIANGLE, options) {
+        None => Ok(()),
+        Some(needed) => Err(ReconstructError::TooManyTriangles {
             triangles,
             needed,
             limit: options.extract.max_memory,
-        });
+        }),
     }
-    Ok(())
 }
 
 fn check(options: &Options) -> Result<(), ReconstructError> {

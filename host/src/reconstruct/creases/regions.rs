@@ -110,6 +110,7 @@ impl<'a> Regions<'a> {
         out.grow(&neighbours);
         out.settle(&neighbours, turn_min);
         out.sort_members();
+        out.sharpen_planes(turn_min);
         out
     }
 
@@ -350,7 +351,6 @@ impl<'a> Regions<'a> {
                 break;
             }
         }
-        self.sharpen_planes(turn_min);
     }
 
     /// Planes that break with other sheets break with one another, too, where gaps or single points at their common
@@ -361,9 +361,11 @@ impl<'a> Regions<'a> {
         edged.dedup();
         let mut planes: Vec<(u32, Vec3)> = Vec::new();
         for region in edged {
-            let own: Vec<OrientedPoint> = (self.points.iter().zip(&self.label))
-                .filter(|(_, l)| **l == region)
-                .map(|(p, _)| *p)
+            let Some(members) = self.index.get(&region) else {
+                continue;
+            };
+            let own: Vec<OrientedPoint> = (members.points.iter())
+                .map(|i| self.points[*i as usize])
                 .collect();
             let centre = own.iter().map(|p| p.position).sum::<Vec3>() / own.len().max(1) as f64;
             let reach = own
@@ -525,8 +527,11 @@ impl<'a> Regions<'a> {
                     Meeting::Angle(turn) => turn,
                     Meeting::Smooth | Meeting::Contradicted => 0.0,
                 };
-                b.sharp += usize::from(turn > turn_min);
-                b.smooth += usize::from(turn <= turn_min && meeting != Meeting::Contradicted);
+                if turn > turn_min {
+                    b.sharp += 1;
+                } else if meeting != Meeting::Contradicted {
+                    b.smooth += 1;
+                }
                 b.turn += (turn - b.turn) / b.places as f64;
             }
         }

@@ -90,36 +90,46 @@ pub(super) fn contradicting(
         normal_sigma: levels.normal_sigma.max(LEAST_NORMAL_SIGMA),
         ..*levels
     };
-    let looks: Vec<(Vec3, bool, bool)> = (0..data.positions.len())
+    let looks: Vec<Look> = (0..data.positions.len())
         .into_par_iter()
         .map(|i| {
             let (value, gradient) = field.value_and_gradient(&data.positions[i]);
             let misses = Miss::of(data, levels, i, value, &gradient).is_more_than([DEVIATIONS; 2]);
             let confirmed = confirmed(data, tree, levels, i);
-            (
+            Look {
                 gradient,
-                misses && !confirmed,
-                !confirmed && doubtful(data, tree, i),
-            )
+                contradicts: misses && !confirmed,
+                doubtful: !confirmed && doubtful(data, tree, i),
+            }
         })
         .collect();
     let (which, around): (Vec<usize>, Vec<Cover>) = (0..looks.len())
-        .filter(|i| looks[*i].2 && !looks[*i].1)
+        .filter(|i| looks[*i].doubtful && !looks[*i].contradicts)
         .filter_map(|i| {
-            let gradient = looks[i].0;
+            let gradient = looks[i].gradient;
             let witness = |j: usize| {
-                !looks[j].2 && data.normals[j].dot(&gradient) > OPPOSITE * gradient.norm()
+                !looks[j].doubtful && data.normals[j].dot(&gradient) > OPPOSITE * gradient.norm()
             };
             Some((i, witnesses(data, tree, i, witness)?))
         })
         .unzip();
-    let mut found: Vec<bool> = looks.iter().map(|look| look.1).collect();
+    let mut found: Vec<bool> = looks.iter().map(|look| look.contradicts).collect();
     if !which.is_empty() {
         for (i, ball) in which.into_iter().zip(refit(&around)) {
             found[i] = ball.is_some_and(|ball| !foretold(data, levels, i, &ball));
         }
     }
     keep_if_few(found)
+}
+
+/// What the field and the neighbours say of a contact.
+struct Look {
+    /// The field's gradient there.
+    gradient: Vec3,
+    /// The field misses it and no neighbour confirms it.
+    contradicts: bool,
+    /// No neighbour confirms it, and many cannot share a sheet with it.
+    doubtful: bool,
 }
 
 /// How far a field is off a contact, in standard deviations of its position and of its normal.

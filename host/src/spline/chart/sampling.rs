@@ -118,7 +118,8 @@ impl Chart {
         longest / step
     }
 
-    /// Segments with which no triangle of the net bends away from its samples by more than `tolerance`: the second derivatives at a grid over the net give the bound of Filip, Magedson and Markot (1986), with a half to spare for
+    /// Segments with which no triangle of the net bends away from its samples by more than `tolerance`: the second
+    /// derivatives at a grid over the net give the bound of Filip, Magedson and Markot (1986), with a half to spare for
     /// what lies between the grid's points.
     fn segments_by_chord(&self, tolerance: f64) -> f64 {
         const GRID: usize = 12;
