@@ -14,8 +14,8 @@
 //!
 //! That radius decides what a hole is; as the radius of the border it would dip far into the gaps between the
 //! outermost contacts. So next to an opened hole the contacts are closed a second time, with a radius as wide as the hole
-//! allows: on bowls the border came from 10 to 8 (in 1e-3 of the diagonal, rms) near the true rim, and to 1.3 where exact
-//! contacts reach it.
+//! allows. Over that border, which still touches contacts that noise carried outward and dips between them, the
+//! final one is estimated ([`rim`](super::rim)).
 
 use std::collections::HashMap;
 
@@ -82,25 +82,32 @@ pub(super) fn support(mesh: &TriangleMesh, data: &Normalised, tree: &Neighbourho
         .par_iter()
         .zip(&normals)
         .map(|(x, n)| {
-            // A thin wall's other side can hold all of the first ones.
-            [12, 96]
-                .into_iter()
-                .find_map(|k| {
-                    let found = tree.nearest(x, k);
-                    let same = found.iter().find(|&&(j, _)| data.normals[j].dot(n) > 0.0);
-                    same.map(|(_, d2)| d2.sqrt())
-                })
-                .unwrap_or(f64::INFINITY)
+            nearest_facing(tree, &data.normals, x, n).map_or(f64::INFINITY, |(_, d2)| d2.sqrt())
         })
         .collect()
 }
 
-/// Closes or opens the holes: returns what became of each and the mesh without the opened ones.
+/// The place of `tree` nearest to `x` whose normal is within a right angle of `normal`, with the squared distance.
+pub(super) fn nearest_facing(
+    tree: &Neighbourhoods,
+    normals: &[Vec3],
+    x: &Vec3,
+    normal: &Vec3,
+) -> Option<(usize, f64)> {
+    // A thin wall's other side can hold all of the first ones.
+    [12, 96].into_iter().find_map(|k| {
+        let mut found = tree.nearest(x, k).into_iter();
+        found.find(|&(j, _)| normals[j].dot(normal) > 0.0)
+    })
+}
+
+/// Closes or opens the holes: returns what became of each, and where some were opened a level for every vertex that is
+/// positive on what stays ([`clip`]).
 pub(super) fn close_or_open(
-    mesh: TriangleMesh,
+    mesh: &TriangleMesh,
     support: &[f64],
     closing: &Closing,
-) -> (TriangleMesh, Vec<Hole>) {
+) -> (Option<Vec<f64>>, Vec<Hole>) {
     let radius = closing.radius;
     let inside = |v: u32| support[v as usize] > radius;
     // Components of the vertices in holes.
@@ -113,7 +120,7 @@ pub(super) fn close_or_open(
             }
         }
     }
-    let on_border = border_vertices(&mesh);
+    let on_border = border_vertices(mesh);
     let mut holes: Vec<Hole> = Vec::new();
     let mut number: HashMap<usize, usize> = HashMap::new();
     let mut at_border: Vec<bool> = Vec::new();
@@ -177,16 +184,16 @@ pub(super) fn close_or_open(
         for i in 0..3 {
             let (a, b) = (f[i], f[(i + 1) % 3]);
             if opened(a) && !inside(b) || opened(b) && !inside(a) {
-                rim.push(crossing(&mesh, support, [a, b], radius));
+                rim.push(crossing(mesh, support, [a, b], radius));
             }
         }
     }
     if rim.is_empty() {
-        return (mesh, holes);
+        return (None, holes);
     }
     let rim = Neighbourhoods::new(rim);
     let far = far_rims(
-        &mesh,
+        mesh,
         support,
         closing,
         |v| opened(v).then(|| number[&group.root_of(v as usize)]),
@@ -208,7 +215,7 @@ pub(super) fn close_or_open(
             near.max(filled)
         })
         .collect();
-    (clip(&mesh, &level), holes)
+    (Some(level), holes)
 }
 
 /// Where the support crosses `level` on an edge.
