@@ -2,8 +2,9 @@
 //!
 //! A face is split (template 1) if it holds a point farther off than the tolerance and its data say that the
 //! surface, not the noise, is to blame: the residuals of a face that fits are as large as the noise and
-//! change sign; those of one that is too coarse are larger or all lie on one side. So refinement never chases
-//! noise, and a tolerance below the noise ends with that reason instead of with thousands of patches.
+//! change sign; those of one that is too coarse are larger or all lie on one side, also without the largest of them. So
+//! refinement never chases noise or a single false contact, and a tolerance below the noise ends with that reason instead
+//! of with thousands of patches.
 
 pub mod templates;
 
@@ -17,6 +18,8 @@ pub struct FaceFit {
     pub count: usize,
     /// Largest distance.
     pub max: f64,
+    /// The same datum's signed distance along the surface normal.
+    pub max_signed: f64,
     /// Sum of signed distances along the surface normal.
     pub signed_sum: f64,
     /// Sum of squared distances.
@@ -32,18 +35,38 @@ pub fn face_fits(face_count: usize, data: &[Datum], feet: &[Option<Foot>]) -> Ve
         };
         let residual = datum.position - foot.point;
         let fit = &mut fits[foot.face as usize];
-        fit.count += 1;
-        fit.max = fit.max.max(residual.norm());
-        fit.signed_sum += foot.normal().unwrap_or(datum.normal).dot(&residual);
-        fit.square_sum += residual.norm_squared();
+        let signed = foot.normal().unwrap_or(datum.normal).dot(&residual);
+        fit.add(residual.norm(), signed);
     }
     fits
 }
 
 impl FaceFit {
+    /// Takes in a datum at this distance, and signed distance along the surface normal.
+    fn add(&mut self, distance: f64, signed: f64) {
+        self.count += 1;
+        self.signed_sum += signed;
+        self.square_sum += distance * distance;
+        if distance > self.max {
+            self.max = distance;
+            self.max_signed = signed;
+        }
+    }
+
     /// Whether the residuals are more than noise of standard deviation `sigma` explains: their mean square
-    /// or their mean lies beyond what chance gives once in a thousand faces.
+    /// or their mean lies beyond what chance gives once in a thousand faces, also if the largest is left out. One contact
+    /// that all others around it contradict is false; a finer face would bulge to meet it.
     pub fn is_lack_of_fit(&self, sigma: f64) -> bool {
+        let others = Self {
+            count: self.count.saturating_sub(1),
+            signed_sum: self.signed_sum - self.max_signed,
+            square_sum: self.square_sum - self.max * self.max,
+            ..*self
+        };
+        self.is_beyond_chance(sigma) && (others.count == 0 || others.is_beyond_chance(sigma))
+    }
+
+    fn is_beyond_chance(&self, sigma: f64) -> bool {
         if self.count == 0 {
             return false;
         }
@@ -65,11 +88,12 @@ mod tests {
     #[test]
     fn noise_is_not_lack_of_fit_but_bias_is() {
         let sigma = 0.1;
-        let face = |residuals: &[f64]| FaceFit {
-            count: residuals.len(),
-            max: residuals.iter().fold(0.0, |m, r| r.abs().max(m)),
-            signed_sum: residuals.iter().sum(),
-            square_sum: residuals.iter().map(|r| r * r).sum(),
+        let face = |residuals: &[f64]| {
+            let mut fit = FaceFit::default();
+            for r in residuals {
+                fit.add(r.abs(), *r);
+            }
+            fit
         };
         let alternating: Vec<f64> = (0..20)
             .map(|i| if i % 2 == 0 { 0.11 } else { -0.11 })
@@ -78,5 +102,8 @@ mod tests {
         assert!(face(&[0.09; 20]).is_lack_of_fit(sigma));
         assert!(face(&[0.5, -0.4]).is_lack_of_fit(sigma));
         assert!(!face(&[0.25]).is_lack_of_fit(sigma));
+        // One false contact among good ones, and two that agree.
+        let with = |far: &[f64]| face(&[&alternating, far].concat()).is_lack_of_fit(sigma);
+        assert!(!with(&[1.5]) && with(&[1.5, 1.4]));
     }
 }
