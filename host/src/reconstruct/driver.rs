@@ -618,17 +618,19 @@ fn smoothing(sigma: f64) -> f64 {
 
 /// The contacts that phase 1 did not set aside.
 fn inliers(inner: &Cloud, outliers: &[usize]) -> Cloud {
-    let mut outliers = outliers.iter().peekable();
+    let kept = kept(inner, outliers);
     Cloud {
-        points: inner
-            .points
-            .iter()
-            .enumerate()
-            .filter(|(number, _)| outliers.next_if_eq(&number).is_none())
-            .map(|(_, point)| *point)
-            .collect(),
+        points: kept.iter().map(|i| inner.points[*i]).collect(),
         rejected: Vec::new(),
     }
+}
+
+/// The numbers of the contacts that are not among the `outliers` (rising).
+fn kept(inner: &Cloud, outliers: &[usize]) -> Vec<usize> {
+    let mut outliers = outliers.iter().peekable();
+    (0..inner.points.len())
+        .filter(|number| outliers.next_if_eq(&number).is_none())
+        .collect()
 }
 
 /// Follows the field's surface. Smooth sheets that break with one another are looked for first; where there are some, each
@@ -667,7 +669,11 @@ fn find_creases(
     );
     let (extracted, note) = match again {
         Ok(again) => {
-            let outliers = field.outliers().to_vec();
+            // Those that lie off the sheets are numbered among the inliers.
+            let kept = kept(inner, field.outliers());
+            let mut outliers = field.outliers().to_vec();
+            outliers.extend(again.outliers.iter().map(|i| kept[*i]));
+            outliers.sort_unstable();
             (Extracted { outliers, ..again }, None)
         }
         Err(error) => {
@@ -677,7 +683,10 @@ fn find_creases(
             (field.trace(extract_options)?, Some(note))
         }
     };
-    let creased = sheets.cut(&extracted.mesh).map_err(SimplifyError::from)?;
+    let field = &extracted.field;
+    let creased = sheets
+        .cut(&extracted.mesh, |x| field.sheet(x), &field.sharp())
+        .map_err(SimplifyError::from)?;
     Ok((extracted, creased, note))
 }
 

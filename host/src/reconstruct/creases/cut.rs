@@ -6,6 +6,7 @@ use super::sheet::{Sheet, meet};
 use crate::Vec3;
 use crate::mesh::{HalfEdgeMesh, MeshError, NONE, TriangleMesh};
 use crate::reconstruct::simplify::CreaseLines;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// How far, in typical distances of the points, the extraction rounds a crease off: vertices nearer than this
@@ -17,6 +18,8 @@ const NEAREST: usize = 24;
 /// What the mesh knows about its vertices while it is cut.
 pub(super) struct Cutting<'a, 'b> {
     regions: &'a Regions<'b>,
+    /// Pairs of sheets that break, sorted.
+    sharp: &'a [[u32; 2]],
     pub(super) mesh: HalfEdgeMesh,
     /// Per vertex, the sheets it belongs to: one, two on a crease, three and more in a corner.
     pub(super) sheets: Vec<Vec<u32>>,
@@ -24,18 +27,29 @@ pub(super) struct Cutting<'a, 'b> {
     pub(super) near: Vec<Vec<(u32, Sheet, Vec3)>>,
 }
 
-/// Cuts `mesh` between the sheets of `regions`.
+/// Cuts `mesh` between the `sharp` pairs (sorted) of the sheets of `regions`; `known` tells the sheet of a place on it.
+///
+/// Two ways were weighed to tell the sheet of a vertex: to ask the points near by, which know nothing of a sheet that no track
+/// follows up to its edge (half a block's end, 0.25 of its length without a touch, was cut as the side beside it), and to
+/// ask the field that the mesh was extracted from. The second is taken, the first stands in for fields without sheets.
 pub(super) fn cut(
     regions: &Regions<'_>,
+    sharp: &[[u32; 2]],
     mesh: &TriangleMesh,
+    known: impl Fn(&Vec3) -> Option<u32> + Sync,
     turn_min: f64,
 ) -> Result<Creased, MeshError> {
     let half = HalfEdgeMesh::new(mesh)?;
     let normals = mesh.vertex_normals();
     let mut work = Cutting {
         regions,
+        sharp,
         sheets: (0..half.vertex_slots())
-            .map(|v| vec![owner(regions, &half.position(v as u32), &normals[v])])
+            .into_par_iter()
+            .map(|v| {
+                let p = half.position(v as u32);
+                vec![known(&p).unwrap_or_else(|| owner(regions, &p, &normals[v]))]
+            })
             .collect(),
         mesh: half,
         near: Vec::new(),
@@ -148,7 +162,7 @@ impl Cutting<'_, '_> {
     }
 
     fn broken(&self, a: u32, b: u32) -> bool {
-        self.regions.sharp.contains(&[a.min(b), a.max(b)])
+        self.sharp.binary_search(&[a.min(b), a.max(b)]).is_ok()
     }
 
     /// Splits every edge whose ends lie on different sheets that break with one another.

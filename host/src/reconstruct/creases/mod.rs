@@ -19,6 +19,7 @@ mod sheet;
 mod tidy;
 
 use super::simplify::CreaseLines;
+use crate::Vec3;
 use crate::cloud::Cloud;
 use crate::mesh::{MeshError, TriangleMesh};
 use regions::Regions;
@@ -62,7 +63,7 @@ pub struct Sheets<'a> {
 impl<'a> Sheets<'a> {
     /// Finds the sheets of `cloud`. Same input, same result.
     pub fn of(cloud: &'a Cloud, options: &CreaseOptions) -> Self {
-        let usable = |v: &crate::Vec3| v.iter().all(|x| x.is_finite());
+        let usable = |v: &Vec3| v.iter().all(|x| x.is_finite());
         let fine = cloud.points.len() >= 20
             && cloud
                 .points
@@ -85,11 +86,18 @@ impl<'a> Sheets<'a> {
         self.regions.as_ref().map_or(&[], |r| &r.sharp)
     }
 
-    /// Cuts `mesh`, which was extracted from the same points, along the lines where the surface breaks.
+    /// Cuts `mesh`, which was extracted from the same points, along the lines where the surface breaks. `known` tells the
+    /// sheet of a place on it; where it does not, the points near by do. `further` are pairs of sheets (the lower first)
+    /// that break besides [`Self::sharp`].
     ///
     /// # Errors
     /// When `mesh` is no oriented manifold.
-    pub fn cut(&self, mesh: &TriangleMesh) -> Result<Creased, MeshError> {
+    pub fn cut(
+        &self,
+        mesh: &TriangleMesh,
+        known: impl Fn(&Vec3) -> Option<u32> + Sync,
+        further: &[[u32; 2]],
+    ) -> Result<Creased, MeshError> {
         let plain = || Creased {
             mesh: mesh.clone(),
             ..Creased::default()
@@ -104,7 +112,12 @@ impl<'a> Sheets<'a> {
         let mut out = if regions.sharp.is_empty() {
             plain()
         } else {
-            cut::cut(regions, mesh, self.turn_min)?
+            {
+                let mut sharp = [regions.sharp.as_slice(), further].concat();
+                sharp.sort_unstable();
+                sharp.dedup();
+                cut::cut(regions, &sharp, mesh, known, self.turn_min)?
+            }
         };
         out.sheets = labels.len();
         out.scatter = Some(regions.scatter);

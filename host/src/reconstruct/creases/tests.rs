@@ -69,7 +69,7 @@ fn off_edge(p: &Vec3, a: f64) -> f64 {
 fn the_twelve_edges_of_a_noisy_cube_are_found_and_placed() {
     let a = 0.4;
     let found = Sheets::of(&cube_points(1229, a), &CreaseOptions::default())
-        .cut(&rounded_cube(a, 0.06))
+        .cut(&rounded_cube(a, 0.06), |_| None, &[])
         .unwrap();
     assert_eq!(found.sheets, 6);
     let half = HalfEdgeMesh::new(&found.mesh).unwrap();
@@ -158,7 +158,7 @@ fn the_two_rims_of_a_noisy_cylinder_are_found() {
         *p = Vec3::new(p.x * around, p.y * around, nz + 0.5 * height);
     }
     let found = Sheets::of(&cloud, &CreaseOptions::default())
-        .cut(&mesh)
+        .cut(&mesh, |_| None, &[])
         .unwrap();
     assert_eq!(found.sheets, 3);
     let diagonal = (8.0 * radius * radius + height * height).sqrt();
@@ -197,7 +197,7 @@ fn smooth_shapes_have_no_creases() {
                 .push(noisy(s.position, n.normalize(), &mut rng));
         }
         let found = Sheets::of(&cloud, &CreaseOptions::default())
-            .cut(&dense)
+            .cut(&dense, |_| None, &[])
             .unwrap();
         assert!(found.lines.edges.is_empty());
         assert_eq!(found.mesh, dense);
@@ -210,10 +210,16 @@ fn bad_input_is_no_panic() {
     let mut cloud = cube_points(100, 0.4);
     cloud.points[7].position.x = f64::NAN;
     let options = CreaseOptions::default();
-    assert_eq!(Sheets::of(&cloud, &options).cut(&mesh).unwrap().mesh, mesh);
+    assert_eq!(
+        Sheets::of(&cloud, &options)
+            .cut(&mesh, |_| None, &[])
+            .unwrap()
+            .mesh,
+        mesh
+    );
     assert!(
         Sheets::of(&Cloud::default(), &options)
-            .cut(&mesh)
+            .cut(&mesh, |_| None, &[])
             .unwrap()
             .lines
             .edges
@@ -223,5 +229,9 @@ fn bad_input_is_no_panic() {
         points: vec![cloud.points[0]; 50],
         ..Cloud::default()
     };
-    assert!(Sheets::of(&same, &options).cut(&mesh).is_ok());
+    assert!(
+        Sheets::of(&same, &options)
+            .cut(&mesh, |_| None, &[])
+            .is_ok()
+    );
 }

@@ -74,6 +74,22 @@ impl Field {
         self.frame.scale * sigma * (1.0 + distance2 / self.contact_spacing.powi(2))
     }
 
+    /// The label of the smooth sheet that bounds the solid nearest to `x`; `None` of a field without sheets.
+    pub fn sheet(&self, x: &Vec3) -> Option<u32> {
+        match &self.shape {
+            Shape::Sheets(sheets) => sheets.label(&self.frame.inward(x)),
+            Shape::Blended(_) | Shape::Planes(_) => None,
+        }
+    }
+
+    /// The labels of the smooth sheets that meet in an edge, in pairs, the lower one first; none of a field without sheets.
+    pub fn sharp(&self) -> Vec<[u32; 2]> {
+        match &self.shape {
+            Shape::Sheets(sheets) => sheets.sharp(),
+            Shape::Blended(_) | Shape::Planes(_) => Vec::new(),
+        }
+    }
+
     /// Number of local fits, or of tangent planes.
     pub fn fits(&self) -> usize {
         self.shape.len()

@@ -1,6 +1,6 @@
 //! Contacts that contradict the others: slips, false touches, flipped normals.
 //!
-//! Three looks. Before anything is fitted, a contact needs neighbours that could lie on one smooth sheet with it
+//! Four looks. Before anything is fitted, a contact needs neighbours that could lie on one smooth sheet with it
 //! ([`unsupported`]); this finds gross errors, which would spoil any fit around them. Once the field is known, a
 //! contact is set aside if the field misses it by many standard deviations *and* no neighbour agrees with it
 //! ([`contradicting`]). The second condition keeps the contacts beside creases: there a smooth field misses
@@ -17,6 +17,7 @@ use rayon::prelude::*;
 use super::{
     contacts::Normalised,
     field::{Ball, BlendedField},
+    sheets::SheetField,
     smoothing::{Cover, Levels},
 };
 use crate::{Vec3, cloud::Neighbourhoods};
@@ -85,11 +86,7 @@ pub(super) fn contradicting(
     levels: &Levels,
     refit: &dyn Fn(&[Cover]) -> Vec<Option<Ball>>,
 ) -> Vec<bool> {
-    let levels = &Levels {
-        position_sigma: levels.position_sigma.max(LEAST_POSITION_SIGMA),
-        normal_sigma: levels.normal_sigma.max(LEAST_NORMAL_SIGMA),
-        ..*levels
-    };
+    let levels = &levels.at_least(LEAST_POSITION_SIGMA, LEAST_NORMAL_SIGMA);
     let looks: Vec<Look> = (0..data.positions.len())
         .into_par_iter()
         .map(|i| {
@@ -120,6 +117,26 @@ pub(super) fn contradicting(
         }
     }
     keep_if_few(found)
+}
+
+/// Contacts whose place the field of the sheets misses by far and no neighbour confirms, where a flat sheet leads: a bent one
+/// may miss good contacts of a tip. Their normal is not asked: touches of an edge lean.
+pub(super) fn off_sheets(
+    data: &Normalised,
+    tree: &Neighbourhoods,
+    field: &SheetField,
+    levels: &Levels,
+) -> Vec<bool> {
+    let levels = &levels.at_least(LEAST_POSITION_SIGMA, LEAST_NORMAL_SIGMA);
+    let found = (0..data.positions.len()).into_par_iter().map(|i| {
+        let p = &data.positions[i];
+        let (value, gradient) = field.value_and_gradient(p);
+        let miss = Miss::of(data, levels, i, value, &gradient);
+        miss.is_more_than([DEVIATIONS, f64::INFINITY])
+            && field.is_flat(p)
+            && !confirmed(data, tree, levels, i)
+    });
+    keep_if_few(found.collect())
 }
 
 /// What the field and the neighbours say of a contact.

@@ -15,13 +15,21 @@ use super::{
 use crate::{Vec3, cloud::Neighbourhoods};
 
 /// A sheet has a say at a place if its nearest contact is not this many times farther than the nearest of all, and this
-/// many contact spacings.
+/// many contact spacings: a bent one, which swings where it is carried on, and a flat one.
 const SAY_RATIO: f64 = 2.0;
 const SAY_SPACINGS: f64 = 8.0;
+const SAY_SPACINGS_FLAT: f64 = 14.0;
 /// Contacts within so many spacings of the other sheet tell whether two sheets form an outer or an inner edge.
 const EDGE_SPACINGS: f64 = 5.0;
 /// Mean angle between neighbouring normals of two sheets from which they form an edge, radians (30 degrees).
 const EDGE_TURN: f64 = 0.52;
+/// A contact lies beyond a sheet if it is more than so many spacings and standard deviations on the side on which its own
+/// sheet would have ended.
+const BEYOND_SPACINGS: f64 = 0.5;
+const BEYOND_DEVIATIONS: f64 = 3.0;
+/// Share of a sheet's contacts that may lie on the other side of a sheet whose edge with it no contact shows; with more, the
+/// two cross without ending one another.
+const BEYOND_MOST: f64 = 0.2;
 /// Kernel of a sheet: quadratic polynomials are carried on past the end of a bent sheet without swinging, planes past
 /// that of a flat one.
 const BENT: Kernel = Kernel::Quintic;
@@ -50,15 +58,23 @@ struct Sheet {
     field: BlendedField,
     contacts: Neighbourhoods,
     normals: Vec<Vec3>,
+    flat: bool,
+    /// Which contact lies beyond which sheet that it breaks with, at contact * sheets + other: where that sheet's surface, carried
+    /// on, cuts through this one, it is not the one that ends it.
+    beyond: Vec<bool>,
 }
 
 /// The fields of all sheets and how they meet.
 #[derive(Clone, Debug)]
 pub(super) struct SheetField {
     sheets: Vec<Sheet>,
+    /// The label of each.
+    names: Vec<u32>,
     /// How sheets i and j meet, at i * sheets + j.
     edges: Vec<Edge>,
     spacing: f64,
+    /// Distance from a sheet up to which it is not sure on which side of it a contact lies.
+    tolerance: f64,
 }
 
 impl SheetField {
@@ -97,22 +113,49 @@ impl SheetField {
                 field,
                 contacts: tree,
                 normals: own.normals,
+                flat: kernel == FLAT,
+                beyond: Vec::new(),
             });
         }
         let mut out = Self {
             edges: vec![Edge::None; sheets.len() * sheets.len()],
             sheets,
+            names,
             spacing,
+            tolerance: BEYOND_SPACINGS * spacing + BEYOND_DEVIATIONS * levels.position_sigma,
         };
-        for i in 0..names.len() {
+        let count = out.sheets.len();
+        for i in 0..count {
             for j in 0..i {
-                let broken = sharp.contains(&[names[j], names[i]]);
+                let broken = sharp.contains(&[out.names[j], out.names[i]]);
                 let edge = out.meeting(i, j, broken);
-                out.edges[i * names.len() + j] = edge;
-                out.edges[j * names.len() + i] = edge;
+                out.edges[i * count + j] = edge;
+                out.edges[j * count + i] = edge;
             }
         }
+        for i in 0..count {
+            out.sheets[i].beyond = out.beyond(i);
+        }
         Ok(out)
+    }
+
+    /// [`Sheet::beyond`] of sheet `i`.
+    fn beyond(&self, i: usize) -> Vec<bool> {
+        let edges = &self.edges[i * self.sheets.len()..(i + 1) * self.sheets.len()];
+        let mut out = Vec::with_capacity(edges.len() * self.sheets[i].normals.len());
+        for p in self.sheets[i].contacts.positions() {
+            out.extend(
+                edges
+                    .iter()
+                    .zip(&self.sheets)
+                    .map(|(edge, other)| match edge {
+                        Edge::None => false,
+                        Edge::Outer => other.field.value(p) > self.tolerance,
+                        Edge::Inner => other.field.value(p) < -self.tolerance,
+                    }),
+            );
+        }
+        out
     }
 
     /// How sheets `i` and `j` meet: whether the contacts of each near the other lie behind it. Sheets that are not known
@@ -120,7 +163,7 @@ impl SheetField {
     /// [`EDGE_TURN`]: small pieces of a sheet show too little of their edge to be sure of it.
     fn meeting(&self, i: usize, j: usize, broken: bool) -> Edge {
         match self.meeting_within(EDGE_SPACINGS * self.spacing, [i, j], broken) {
-            // A gap hides their edge: all their contacts tell.
+            // A gap hides their edge, if they have one: all their contacts tell.
             None if broken => self.meeting_within(f64::INFINITY, [i, j], broken),
             edge => edge,
         }
@@ -130,7 +173,9 @@ impl SheetField {
     /// The same, from the contacts within `reach` of the other sheet; `None` without any.
     fn meeting_within(&self, reach: f64, [i, j]: [usize; 2], broken: bool) -> Option<Edge> {
         let (mut behind, mut turn, mut count) = (0.0, 0.0, 0.0);
-        for (of, against) in [(i, j), (j, i)] {
+        // How many contacts of each lie behind and before the other.
+        let mut sides = [[0_usize; 2]; 2];
+        for (direction, (of, against)) in [(i, j), (j, i)].into_iter().enumerate() {
             let (of, against) = (&self.sheets[of], &self.sheets[against]);
             for (p, n) in of.contacts.positions().iter().zip(&of.normals) {
                 let Some((k, d2)) = against.contacts.nearest_one(p) else {
@@ -141,13 +186,21 @@ impl SheetField {
                     behind += height;
                     turn += n.angle(&against.normals[k]);
                     count += 1.0;
+                    if height.abs() > self.tolerance {
+                        sides[direction][usize::from(height > 0.0)] += 1;
+                    }
                 }
             }
         }
         if count == 0.0 {
             return None;
         }
-        Some(if !broken && turn < EDGE_TURN * count {
+        // Far from one another they may as well cross without ending one another.
+        let crossing = reach.is_infinite()
+            && sides.iter().any(|[behind, before]| {
+                *behind.min(before) as f64 > BEYOND_MOST * (behind + before) as f64
+            });
+        Some(if crossing || !broken && turn < EDGE_TURN * count {
             Edge::None
         } else if behind < 0.0 {
             Edge::Outer
@@ -156,75 +209,128 @@ impl SheetField {
         })
     }
 
-    /// The sheet that bounds the solid nearest to `x`, and its `value` there; `None` without sheets.
-    fn leading(&self, x: &Vec3, value: impl Fn(&Sheet) -> f64) -> Option<(&Sheet, f64)> {
-        let away: Vec<f64> = self
+    /// The sheet that bounds the solid nearest to `x`, by its number, and its `value` there; `None` without sheets.
+    fn leading(&self, x: &Vec3, value: impl Fn(&Sheet) -> f64) -> Option<(usize, f64)> {
+        // The nearest contact of each sheet and its distance.
+        let near: Vec<(usize, f64)> = self
             .sheets
             .iter()
             .map(|s| {
                 s.contacts
                     .nearest_one(x)
-                    .map_or(f64::INFINITY, |(_, d2)| d2.sqrt())
+                    .map_or((0, f64::INFINITY), |(c, d2)| (c, d2.sqrt()))
             })
             .collect();
-        let least = away.iter().copied().fold(f64::INFINITY, f64::min);
-        let limit = SAY_RATIO * least + SAY_SPACINGS * self.spacing;
+        let least = near.iter().map(|n| n.1).fold(f64::INFINITY, f64::min);
+        let limit = |flat: bool| {
+            let spacings = if flat {
+                SAY_SPACINGS_FLAT
+            } else {
+                SAY_SPACINGS
+            };
+            SAY_RATIO * least + spacings * self.spacing
+        };
         let heard: Vec<(usize, f64)> = (0..self.sheets.len())
-            .filter(|&i| away[i] <= limit)
+            .filter(|&i| near[i].1 <= limit(self.sheets[i].flat))
             .map(|i| (i, value(&self.sheets[i])))
             .filter(|(_, f)| f.is_finite())
             .collect();
         let count = self.sheets.len();
-        // The sheet that prevails against most of those it breaks with; of equals the nearest.
-        let (best, value) = *heard.iter().max_by(|(i, f), (j, g)| {
-            let losses = |i: usize, f: f64| {
-                let lost = heard
-                    .iter()
-                    .filter(|(k, h)| match self.edges[i * count + k] {
-                        Edge::None => false,
-                        Edge::Outer => *h > f,
-                        Edge::Inner => *h < f,
-                    });
-                lost.count()
-            };
-            losses(*j, *g)
-                .cmp(&losses(*i, *f))
-                .then(away[*j].total_cmp(&away[*i]))
-                .then(j.cmp(i))
-        })?;
-        Some((self.sheets.get(best)?, value))
+        // The sheets that may end sheet i here, and how.
+        let ends = |i: usize| {
+            let beyond = &self.sheets[i].beyond[near[i].0 * count..];
+            let heard = heard.iter().enumerate();
+            heard.filter_map(move |(n, (k, h))| match self.edges[i * count + k] {
+                Edge::None => None,
+                edge => (!beyond[*k]).then_some((n, edge, *h)),
+            })
+        };
+        // What a sheet says together with those that end it in inner edges, and in outer ones: a sheet has not won where
+        // another has ended it before.
+        let ended = |&(i, f): &(usize, f64)| {
+            ends(i).fold([f, f], |[low, high], (_, edge, h)| match edge {
+                Edge::Outer => [low, high.max(h)],
+                _ => [low.min(h), high],
+            })
+        };
+        let bounds: Vec<[f64; 2]> = heard.iter().map(ended).collect();
+        let losses = |&(i, f): &(usize, f64)| {
+            let lost = ends(i).filter(|&(n, edge, _)| match edge {
+                Edge::Outer => bounds[n][0] > f,
+                _ => bounds[n][1] < f,
+            });
+            (i, lost.count(), f)
+        };
+        // The sheet that prevails against most of those that end it; of equals the nearest.
+        let (best, _, value) = heard
+            .iter()
+            .map(losses)
+            .min_by(|(i, lost, _), (j, other, _)| {
+                lost.cmp(other)
+                    .then(near[*i].1.total_cmp(&near[*j].1))
+                    .then(i.cmp(j))
+            })?;
+        Some((best, value))
+    }
+
+    /// The same by the sheets' fields as they are.
+    fn leading_field(&self, x: &Vec3) -> Option<(usize, f64)> {
+        self.leading(x, |s| s.field.value(x))
+    }
+
+    /// The labels of the sheets that meet in an edge, in pairs, the lower one first.
+    pub(super) fn sharp(&self) -> Vec<[u32; 2]> {
+        let count = self.sheets.len();
+        (0..count)
+            .flat_map(|i| (0..i).map(move |j| (j, i)))
+            .filter(|(j, i)| self.edges[i * count + j] != Edge::None)
+            .map(|(j, i)| [self.names[j], self.names[i]])
+            .collect()
     }
 
     /// Value at `x`; NaN where nothing speaks.
     pub(super) fn value(&self, x: &Vec3) -> f64 {
-        self.leading(x, |s| s.field.value(x))
-            .map_or(f64::NAN, |(_, value)| value)
+        self.leading_field(x).map_or(f64::NAN, |(_, value)| value)
     }
 
     /// The same, with the sign from each sheet's own contacts where these leave no doubt.
     pub(super) fn settled(&self, x: &Vec3) -> f64 {
-        let value = |sheet: &Sheet| {
+        self.leading_settled(x).map_or(f64::NAN, |(_, value)| value)
+    }
+
+    /// The label of the sheet that bounds the solid nearest to `x`, told in the same way.
+    pub(super) fn label(&self, x: &Vec3) -> Option<u32> {
+        self.leading_settled(x).map(|(i, _)| self.names[i])
+    }
+
+    fn leading_settled(&self, x: &Vec3) -> Option<(usize, f64)> {
+        self.leading(x, |sheet| {
             let sides = Sides {
                 normals: &sheet.normals,
                 tree: &sheet.contacts,
                 spacing: self.spacing,
             };
             sides.settle(x, sheet.field.value(x))
-        };
-        self.leading(x, value).map_or(f64::NAN, |(_, value)| value)
+        })
     }
 
     /// Value and gradient at `x`; NaN where nothing speaks.
     pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
-        self.leading(x, |s| s.field.value(x)).map_or_else(
+        self.leading_field(x).map_or_else(
             || (f64::NAN, Vec3::repeat(f64::NAN)),
-            |(s, _)| s.field.value_and_gradient(x),
+            |(i, _)| self.sheets[i].field.value_and_gradient(x),
         )
+    }
+
+    /// Whether the sheet that bounds the solid nearest to `x` is flat.
+    pub(super) fn is_flat(&self, x: &Vec3) -> bool {
+        self.leading_field(x)
+            .is_some_and(|(i, _)| self.sheets[i].flat)
     }
 
     /// Standard deviation of the leading sheet's fits.
     pub(super) fn sigma(&self, x: &Vec3) -> Option<f64> {
-        self.leading(x, |s| s.field.value(x))?.0.field.sigma(x)
+        self.sheets[self.leading_field(x)?.0].field.sigma(x)
     }
 
     /// Number of local fits.
@@ -255,6 +361,140 @@ mod tests {
         mesh::topology,
         reconstruct::extract::{NoiseEstimate, Options, extract_sheets},
     };
+
+    /// Contacts every `step` on upright rectangles, the label of each and the pairs of labels that are not parallel.
+    #[derive(Default)]
+    struct Touched {
+        cloud: Cloud,
+        labels: Vec<u32>,
+        axes: Vec<usize>,
+    }
+
+    impl Touched {
+        /// Faces `at[axis] = place` that look to `side`, each made of rectangles: low and high in the next two axes.
+        fn face(&mut self, axis: usize, place: f64, side: f64, step: f64, rectangles: &[[f64; 4]]) {
+            let label = self.axes.len() as u32;
+            self.axes.push(axis);
+            for [low_u, high_u, low_v, high_v] in rectangles {
+                let count = |low: f64, high: f64| ((high - low) / step).round() as u32;
+                for i in 0..=count(*low_u, *high_u) {
+                    for j in 0..=count(*low_v, *high_v) {
+                        let mut position = Vec3::zeros();
+                        position[axis] = place;
+                        position[(axis + 1) % 3] = low_u + f64::from(i) * step;
+                        position[(axis + 2) % 3] = low_v + f64::from(j) * step;
+                        let mut normal = Vec3::zeros();
+                        normal[axis] = side;
+                        self.cloud.points.push(OrientedPoint {
+                            position,
+                            normal,
+                            sigma: None,
+                            finger: None,
+                            time_us: None,
+                        });
+                        self.labels.push(label);
+                    }
+                }
+            }
+        }
+
+        fn extract(&self) -> crate::reconstruct::extract::Extracted {
+            let count = self.axes.len();
+            let sharp: Vec<[u32; 2]> = (0..count)
+                .flat_map(|i| (0..i).map(move |j| [j, i]))
+                .filter(|[j, i]| self.axes[*j] != self.axes[*i])
+                .map(|pair| pair.map(|k| k as u32))
+                .collect();
+            let noise = NoiseEstimate {
+                position_sigma: 1e-4,
+                normal_sigma: 1e-3,
+            };
+            extract_sheets(
+                &self.cloud,
+                &Options::default(),
+                &self.labels,
+                &sharp,
+                &noise,
+            )
+            .unwrap()
+        }
+    }
+
+    #[test]
+    fn a_block_with_a_notch_is_whole_also_where_its_end_is_not_touched() {
+        // [0, 1] x [0, 0.8] x [0, 0.5] without x > 0.4, y > 0.4; the end at x = 0 is touched up to y = 0.4 alone. Every plane
+        // of the notch, carried on, runs through the rest of the block.
+        let mut touched = Touched::default();
+        let step = 0.05;
+        for (z, side) in [(0.0, -1.0), (0.5, 1.0)] {
+            let parts = [[0.0, 1.0, 0.0, 0.4], [0.0, 0.4, 0.45, 0.8]];
+            touched.face(2, z, side, step, &parts);
+        }
+        touched.face(1, 0.0, -1.0, step, &[[0.0, 0.5, 0.0, 1.0]]);
+        touched.face(1, 0.4, 1.0, step, &[[0.0, 0.5, 0.4, 1.0]]);
+        touched.face(1, 0.8, 1.0, step, &[[0.0, 0.5, 0.0, 0.4]]);
+        touched.face(0, 0.0, -1.0, step, &[[0.0, 0.4, 0.0, 0.5]]);
+        touched.face(0, 0.4, 1.0, step, &[[0.4, 0.8, 0.0, 0.5]]);
+        touched.face(0, 1.0, 1.0, step, &[[0.0, 0.4, 0.0, 0.5]]);
+        let found = touched.extract();
+        assert_eq!(topology(&found.mesh).genus(), Some(0));
+        for x in &found.mesh.positions {
+            let notch = f64::min(x.x - 0.4, x.y - 0.4);
+            let height = [-x.x, x.x - 1.0, -x.y, x.y - 0.8, -x.z, x.z - 0.5, notch]
+                .into_iter()
+                .fold(f64::NEG_INFINITY, f64::max);
+            // Edges are cut off by up to a cube of the lattice.
+            assert!(height.abs() < found.spacing, "{x} {height}");
+        }
+        // Each place belongs to its face, however far its contacts are.
+        assert_eq!(found.field.sheet(&Vec3::new(0.0, 0.78, 0.25)), Some(5));
+        assert_eq!(found.field.sheet(&Vec3::new(0.02, 0.8, 0.25)), Some(4));
+        assert_eq!(found.field.sheet(&Vec3::new(0.7, 0.4, 0.25)), Some(3));
+        let sharp = found.field.sharp();
+        assert!(
+            sharp.contains(&[3, 6]) && sharp.contains(&[0, 6]),
+            "{sharp:?}"
+        );
+        // The front and a wall of the notch never meet, though their planes do.
+        assert!(!sharp.contains(&[2, 6]), "{sharp:?}");
+    }
+
+    #[test]
+    fn a_plate_goes_on_behind_the_block_that_stands_on_it() {
+        // The plate [-1, 1]^2 x [-0.3, 0] with the block [-0.2, 0.2]^2 x [0, 0.3]: each wall of the block ends the plate's
+        // top before it, and says nothing of it behind the other wall.
+        let mut touched = Touched::default();
+        let step = 0.1;
+        let ring = [
+            [-1.0, 1.0, -1.0, -0.3],
+            [-1.0, 1.0, 0.3, 1.0],
+            [-1.0, -0.3, -0.2, 0.2],
+            [0.3, 1.0, -0.2, 0.2],
+        ];
+        touched.face(2, 0.0, 1.0, step, &ring);
+        touched.face(2, -0.3, -1.0, step, &[[-1.0, 1.0, -1.0, 1.0]]);
+        touched.face(2, 0.3, 1.0, step, &[[-0.2, 0.2, -0.2, 0.2]]);
+        for side in [-1.0, 1.0] {
+            touched.face(0, side, side, step, &[[-1.0, 1.0, -0.3, 0.0]]);
+            touched.face(1, side, side, step, &[[-0.3, 0.0, -1.0, 1.0]]);
+            touched.face(0, 0.2 * side, side, 0.5 * step, &[[-0.2, 0.2, 0.05, 0.3]]);
+            touched.face(1, 0.2 * side, side, 0.5 * step, &[[0.05, 0.3, -0.2, 0.2]]);
+        }
+        let found = touched.extract();
+        assert_eq!(topology(&found.mesh).genus(), Some(0));
+        for x in &found.mesh.positions {
+            let plate = (x.x.abs() - 1.0)
+                .max(x.y.abs() - 1.0)
+                .max(-0.3 - x.z)
+                .max(x.z);
+            let block = (x.x.abs() - 0.2)
+                .max(x.y.abs() - 0.2)
+                .max(x.z - 0.3)
+                .max(-0.3 - x.z);
+            let height = plate.min(block);
+            assert!(height.abs() < found.spacing, "{x} {height}");
+        }
+    }
 
     #[test]
     fn nothing_stands_out_where_the_contacts_near_an_edge_are_missing() {

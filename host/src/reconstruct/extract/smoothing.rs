@@ -37,6 +37,17 @@ pub(super) struct Levels {
     pub tau2: f64,
 }
 
+impl Levels {
+    /// The same with at least this much noise.
+    pub(super) fn at_least(&self, position_sigma: f64, normal_sigma: f64) -> Self {
+        Self {
+            position_sigma: self.position_sigma.max(position_sigma),
+            normal_sigma: self.normal_sigma.max(normal_sigma),
+            ..*self
+        }
+    }
+}
+
 /// A ball of neighbouring contacts.
 #[derive(Clone, Debug)]
 pub(super) struct Cover {
