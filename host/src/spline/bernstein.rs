@@ -55,22 +55,55 @@ pub const fn edge_index(edge: usize, row: usize, along: usize) -> usize {
     index(exponents)
 }
 
-fn factorial(n: u8) -> f64 {
-    (1..=n).map(f64::from).product()
+/// What the Bernstein polynomials of one degree need, made once: `N` is their number.
+struct Terms<const N: usize>;
+
+impl<const N: usize> Terms<N> {
+    const EXPONENTS: [[u8; 3]; N] = exponents::<N>(degree_of(N));
+    const MULTINOMIALS: [f64; N] = {
+        let mut table = [0.0; N];
+        let mut row = 0;
+        while row < N {
+            let [i, j, k] = Self::EXPONENTS[row];
+            let all = factorial(degree_of(N));
+            table[row] = all / (factorial(i) * factorial(j) * factorial(k));
+            row += 1;
+        }
+        table
+    };
+}
+
+const fn factorial(n: u8) -> f64 {
+    if n < 2 {
+        1.0
+    } else {
+        n as f64 * factorial(n - 1)
+    }
+}
+
+/// The degree whose polynomials have this many coefficients.
+const fn degree_of(number: usize) -> u8 {
+    let mut degree = 0;
+    while count(degree) < number {
+        degree += 1;
+    }
+    degree as u8
 }
 
 /// Values of the Bernstein polynomials of degree `degree` at barycentric coordinates, `N = count(degree)`.
 pub fn values<const N: usize>(degree: u8, barycentric: [f64; 3]) -> [f64; N] {
+    debug_assert_eq!(count(usize::from(degree)), N);
     let mut powers = [[1.0; 8]; 3];
     for axis in 0..3 {
         for power in 1..=usize::from(degree) {
             powers[axis][power] = powers[axis][power - 1] * barycentric[axis];
         }
     }
-    let all = factorial(degree);
     let mut out = [0.0; N];
-    for (value, [i, j, k]) in out.iter_mut().zip(exponents::<N>(degree)) {
-        *value = all / (factorial(i) * factorial(j) * factorial(k))
+    for ((value, [i, j, k]), multinomial) in
+        (out.iter_mut().zip(Terms::<N>::EXPONENTS)).zip(Terms::<N>::MULTINOMIALS)
+    {
+        *value = multinomial
             * powers[0][usize::from(i)]
             * powers[1][usize::from(j)]
             * powers[2][usize::from(k)];

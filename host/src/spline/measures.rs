@@ -1,8 +1,8 @@
 //! What must be observable of a finished surface: continuity, regularity, topology. Measured, never assumed.
 
-use super::bernstein::{CONTROL_POINTS, FIRST};
+use super::bernstein::CONTROL_POINTS;
 use super::edges::{EdgeTable, Sectors};
-use super::surface::{Surface, SurfaceError, combine};
+use super::surface::{Surface, SurfaceError, point_and_tangents};
 use crate::Vec3;
 
 /// Figures measured on a surface.
@@ -210,7 +210,7 @@ pub fn patch_regularity(control_points: &[Vec3; CONTROL_POINTS]) -> (f64, bool) 
     for i in 0..=STEPS {
         for j in 0..=STEPS - i {
             let at = [i, j, STEPS - i - j].map(|m| m as f64 / STEPS as f64);
-            let [du, dv] = [0, 1].map(|d| combine(control_points, &FIRST[d].weights(at)));
+            let (_, [du, dv]) = point_and_tangents(control_points, at);
             elements.push(du.cross(&dv));
         }
     }

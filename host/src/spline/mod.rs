@@ -15,4 +15,4 @@ mod surface;
 
 pub use measures::{Measures, PLACES, Topology, angle_degrees, patch_regularity};
 pub use sampling::{Fineness, MAX_SEGMENTS, SampledSurface};
-pub use surface::{Surface, SurfaceError, casteljau, combine};
+pub use surface::{Surface, SurfaceError, casteljau, combine, point_and_tangents};

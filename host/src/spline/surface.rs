@@ -4,7 +4,7 @@
 //! points of their common edge. Everything that reads a surface (export, pictures, evaluation, planning)
 //! starts from [`Surface`].
 
-use super::bernstein::{CONTROL_POINTS, DEGREE, FIRST, SECOND, edge_index};
+use super::bernstein::{CONTROL_POINTS, DEGREE, SECOND, edge_index, exponents, index, values};
 use super::edges::{EdgeError, EdgeTable};
 use crate::Vec3;
 
@@ -120,7 +120,7 @@ impl Surface {
     /// If `face` is no patch of this surface.
     pub fn first_derivatives(&self, face: usize, barycentric: [f64; 3]) -> [Vec3; 2] {
         let points = &self.control_points[face];
-        [0, 1].map(|d| combine(points, &FIRST[d].weights(barycentric)))
+        point_and_tangents(points, barycentric).1
     }
 
     /// Second derivatives of patch `face` by uu, uv and vv.
@@ -206,6 +206,42 @@ pub(super) fn lower(points: &mut [Vec3; CONTROL_POINTS], degree: usize, barycent
             row += 1;
         }
     }
+}
+
+/// Numbers of the control points with one more of each exponent than each term of degree 4.
+const RAISED: [[usize; 3]; 15] = {
+    let lower = exponents::<15>(DEGREE as u8 - 1);
+    let mut table = [[0; 3]; 15];
+    let mut row = 0;
+    while row < 15 {
+        let [i, j, k] = lower[row];
+        table[row] = [
+            index([i + 1, j, k]),
+            index([i, j + 1, k]),
+            index([i, j, k + 1]),
+        ];
+        row += 1;
+    }
+    table
+};
+
+/// Point of a patch and its derivatives by u and v, from the last step of de Casteljau's algorithm: the three points of
+/// degree 1 that it would combine.
+pub fn point_and_tangents(
+    control_points: &[Vec3; CONTROL_POINTS],
+    barycentric: [f64; 3],
+) -> (Vec3, [Vec3; 2]) {
+    let lower = values::<15>(DEGREE as u8 - 1, barycentric);
+    let mut last = [Vec3::zeros(); 3];
+    for (weight, raised) in lower.iter().zip(&RAISED) {
+        for (point, number) in last.iter_mut().zip(raised) {
+            *point += control_points[*number] * *weight;
+        }
+    }
+    let [a, b, c] = last;
+    let [s, t, r] = barycentric;
+    let degree = DEGREE as f64;
+    (a * s + b * t + c * r, [(b - a) * degree, (c - a) * degree])
 }
 
 /// Weighted sum of a patch's control points.

@@ -8,8 +8,8 @@
 
 use super::{Datum, Kind};
 use crate::Vec3;
-use crate::spline::bernstein::{CONTROL_POINTS, FIRST, edge_index, values};
-use crate::spline::{combine, network::Network};
+use crate::spline::bernstein::{CONTROL_POINTS, edge_index};
+use crate::spline::{network::Network, point_and_tangents};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rayon::prelude::*;
 
@@ -293,11 +293,12 @@ fn normalised(at: [f64; 3]) -> [f64; 3] {
 
 /// Point and tangents of one patch.
 fn evaluate(patch: &[Vec3; CONTROL_POINTS], face: u32, at: [f64; 3]) -> Foot {
+    let (point, tangents) = point_and_tangents(patch, at);
     Foot {
         face,
         barycentric: at,
-        point: combine(patch, &values::<CONTROL_POINTS>(5, at)),
-        tangents: [0, 1].map(|d| combine(patch, &FIRST[d].weights(at))),
+        point,
+        tangents,
         along: None,
     }
 }
