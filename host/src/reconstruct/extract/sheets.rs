@@ -5,6 +5,11 @@
 //! with one another, every sheet is fitted from its own contacts alone and carried on past its end; where two sheets meet
 //! in an outer edge the solid lies behind both (the larger value counts), in an inner edge behind either (the smaller).
 //!
+//! Which sheet bounds the solid at a place is a contest of the sheets near by: one loses to another that ends it there, unless
+//! that one was itself ended by a third (the plane of a notch's floor runs on through the block beside it), or the sheet's own
+//! contacts at the place lie beyond it (a plate's top goes on behind the block on it). A formula of unions and
+//! intersections for the whole was weighed, too; it would need to know the solid beforehand.
+//!
 //! Two ways were weighed: to keep one field and give it kernels that may bend (it then follows the noise too), and this
 //! one, the sharp features of multi-level partitions of unity (Ohtake et al. 2003) with sheets that were found beforehand.
 
