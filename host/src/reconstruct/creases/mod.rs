@@ -112,12 +112,10 @@ impl<'a> Sheets<'a> {
         let mut out = if regions.sharp.is_empty() {
             plain()
         } else {
-            {
-                let mut sharp = [regions.sharp.as_slice(), further].concat();
-                sharp.sort_unstable();
-                sharp.dedup();
-                cut::cut(regions, &sharp, mesh, known, self.turn_min)?
-            }
+            let mut sharp = [regions.sharp.as_slice(), further].concat();
+            sharp.sort_unstable();
+            sharp.dedup();
+            cut::cut(regions, &sharp, mesh, known, self.turn_min)?
         };
         out.sheets = labels.len();
         out.scatter = Some(regions.scatter);
