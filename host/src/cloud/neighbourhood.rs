@@ -6,10 +6,9 @@
 //! linear system, and those have to be the same on every machine; so this one.
 //!
 //! Promised: exact results, ordered by distance and then by index, for any finite positions, coinciding
-//! ones included. Memory is 5 bytes per point beside the positions; recursion is log2 of the point count deep.
+//! ones included. Memory is 29 bytes per point beside the positions; recursion is log2 of the point count deep.
 
 use crate::Vec3;
-use std::collections::BinaryHeap;
 
 /// Points of a leaf at most: below this, comparing all is cheaper than descending.
 const LEAF: usize = 12;
@@ -20,6 +19,8 @@ pub struct Neighbourhoods {
     positions: Vec<Vec3>,
     /// Points in the order of the tree: the middle one of each range splits it.
     order: Vec<u32>,
+    /// Positions in the same order, so that a leaf lies in one piece of memory.
+    in_order: Vec<Vec3>,
     /// Axis along which the point at the same place of `order` splits its range.
     axes: Vec<u8>,
 }
@@ -54,9 +55,11 @@ impl Neighbourhoods {
         let mut order: Vec<u32> = (0..count as u32).collect();
         let mut axes = vec![0; count];
         arrange(&positions, &mut order, &mut axes);
+        let in_order = order.iter().map(|&i| positions[i as usize]).collect();
         Self {
             positions,
             order,
+            in_order,
             axes,
         }
     }
@@ -68,103 +71,152 @@ impl Neighbourhoods {
 
     /// The nearest `count` points as (index, squared distance), nearest first; fewer if there are fewer.
     pub fn nearest(&self, query: &Vec3, count: usize) -> Vec<(usize, f64)> {
-        let mut best = BinaryHeap::with_capacity(count.min(self.order.len()) + 1);
-        if count > 0 {
-            self.search(
-                query,
-                0,
-                self.order.len(),
-                &mut best,
-                Some(count),
-                f64::INFINITY,
-            );
-        }
-        sorted(best)
+        self.nearest_few(query, count, f64::INFINITY)
     }
 
-    /// The nearest point as (index, squared distance); `None` without points.
+    /// The nearest point as (index, squared distance); `None` without points, or if `query` is not a number.
     pub fn nearest_one(&self, query: &Vec3) -> Option<(usize, f64)> {
-        self.nearest(query, 1).into_iter().next()
+        let mut one = One(Found {
+            squared: f64::INFINITY,
+            index: u32::MAX,
+        });
+        self.search(query, 0, self.order.len(), &mut one);
+        (one.0.index != u32::MAX).then_some((one.0.index as usize, one.0.squared))
     }
 
     /// All points at most `radius` away as (index, squared distance), nearest first.
     pub fn within(&self, query: &Vec3, radius: f64) -> Vec<(usize, f64)> {
-        let mut best = BinaryHeap::new();
+        let mut all = All {
+            found: Vec::new(),
+            limit: radius * radius,
+        };
         if radius >= 0.0 {
-            self.search(query, 0, self.order.len(), &mut best, None, radius * radius);
+            self.search(query, 0, self.order.len(), &mut all);
         }
-        sorted(best)
+        all.found.sort_unstable();
+        pairs(all.found)
     }
 
     /// At most `count` points at most `radius` away as (index, squared distance), nearest first.
     pub fn nearest_within(&self, query: &Vec3, count: usize, radius: f64) -> Vec<(usize, f64)> {
-        let mut best = BinaryHeap::new();
-        if count > 0 && radius >= 0.0 {
-            self.search(
-                query,
-                0,
-                self.order.len(),
-                &mut best,
-                Some(count),
-                radius * radius,
-            );
+        if radius >= 0.0 {
+            self.nearest_few(query, count, radius * radius)
+        } else {
+            Vec::new()
         }
-        sorted(best)
     }
 
-    fn search(
-        &self,
-        query: &Vec3,
-        begin: usize,
-        end: usize,
-        best: &mut BinaryHeap<Found>,
-        count: Option<usize>,
-        limit: f64,
-    ) {
-        let mut take = |index: u32| {
-            let squared = (self.positions[index as usize] - query).norm_squared();
-            let found = Found { squared, index };
-            if squared > limit {
-                return;
-            }
-            match (count, best.peek()) {
-                (Some(count), Some(worst)) if best.len() >= count => {
-                    if found < *worst {
-                        best.pop();
-                        best.push(found);
-                    }
-                }
-                _ => best.push(found),
-            }
+    fn nearest_few(&self, query: &Vec3, count: usize, limit: f64) -> Vec<(usize, f64)> {
+        let count = count.min(self.order.len());
+        let mut few = Few {
+            found: Vec::with_capacity(count),
+            count,
+            limit,
+        };
+        if count > 0 {
+            self.search(query, 0, self.order.len(), &mut few);
+        }
+        pairs(few.found)
+    }
+
+    /// Shows `keep` the points of a range of the tree that may be near enough.
+    fn search(&self, query: &Vec3, begin: usize, end: usize, keep: &mut impl Keep) {
+        let found = |place: usize| Found {
+            squared: (self.in_order[place] - query).norm_squared(),
+            index: self.order[place],
         };
         if end - begin <= LEAF {
-            self.order[begin..end].iter().for_each(|&index| take(index));
+            (begin..end).for_each(|place| keep.show(found(place)));
             return;
         }
         let middle = begin + (end - begin) / 2;
-        let split = self.order[middle];
-        take(split);
+        keep.show(found(middle));
         let axis = usize::from(self.axes[middle]);
-        let offset = query[axis] - self.positions[split as usize][axis];
+        let offset = query[axis] - self.in_order[middle][axis];
         let (near, far) = if offset < 0.0 {
             ((begin, middle), (middle + 1, end))
         } else {
             ((middle + 1, end), (begin, middle))
         };
-        self.search(query, near.0, near.1, best, count, limit);
-        let full = count.is_some_and(|count| best.len() >= count);
-        let reach = match best.peek() {
-            Some(worst) if full => worst.squared.min(limit),
-            _ => limit,
-        };
-        if offset * offset <= reach {
-            self.search(query, far.0, far.1, best, count, limit);
+        self.search(query, near.0, near.1, keep);
+        if offset * offset <= keep.reach() {
+            self.search(query, far.0, far.1, keep);
         }
     }
 }
 
-fn sorted(best: BinaryHeap<Found>) -> Vec<(usize, f64)> {
-    let found = best.into_sorted_vec();
+/// What a search keeps of the points it comes across.
+trait Keep {
+    /// Takes the point or leaves it.
+    fn show(&mut self, found: Found);
+    /// Squared distance beyond which no point would be taken.
+    fn reach(&self) -> f64;
+}
+
+/// The nearest one.
+struct One(Found);
+
+impl Keep for One {
+    fn show(&mut self, found: Found) {
+        if found < self.0 {
+            self.0 = found;
+        }
+    }
+
+    fn reach(&self) -> f64 {
+        self.0.squared
+    }
+}
+
+/// The nearest few up to a squared distance, nearest first.
+struct Few {
+    found: Vec<Found>,
+    count: usize,
+    limit: f64,
+}
+
+impl Keep for Few {
+    fn show(&mut self, found: Found) {
+        if found.squared > self.limit {
+            return;
+        }
+        if self.found.len() == self.count {
+            if self.found.last().is_some_and(|worst| found >= *worst) {
+                return;
+            }
+            self.found.pop();
+        }
+        let place = self.found.iter().rposition(|other| *other < found);
+        self.found.insert(place.map_or(0, |p| p + 1), found);
+    }
+
+    fn reach(&self) -> f64 {
+        match self.found.last() {
+            Some(worst) if self.found.len() == self.count => worst.squared.min(self.limit),
+            _ => self.limit,
+        }
+    }
+}
+
+/// All up to a squared distance.
+struct All {
+    found: Vec<Found>,
+    limit: f64,
+}
+
+impl Keep for All {
+    fn show(&mut self, found: Found) {
+        if found.squared <= self.limit {
+            self.found.push(found);
+        }
+    }
+
+    fn reach(&self) -> f64 {
+        self.limit
+    }
+}
+
+fn pairs(found: Vec<Found>) -> Vec<(usize, f64)> {
     found
         .into_iter()
         .map(|f| (f.index as usize, f.squared))
