@@ -188,8 +188,10 @@ impl LocalProblem {
             .all(|x| x.is_finite());
         finite.then(|| LocalField {
             kernel: self.kernel,
-            nodes: self.contacts.nodes.clone(),
-            coefficients,
+            blocks: (self.contacts.nodes.chunks(LANES))
+                .zip(coefficients.chunks(LANES))
+                .map(|(nodes, coefficients)| Block::of(nodes, coefficients))
+                .collect(),
             polynomial,
             centre_variance: self.centre_variance(&factor, tau2),
         })
@@ -314,13 +316,74 @@ fn covariance(kernel: Kernel, nodes: &[Vec3], weight: &[f64]) -> Mat<f64> {
     k
 }
 
+/// Nodes that are worked on side by side.
+const LANES: usize = 8;
+
+/// So many nodes with their coefficients (of the kernel and of its three derivatives), coordinate by coordinate; nodes
+/// that fill up the last block have coefficients 0.
+#[derive(Clone, Copy, Debug)]
+struct Block {
+    node: [[f64; LANES]; 3],
+    coefficient: [[f64; LANES]; 4],
+}
+
+impl Block {
+    fn of(nodes: &[Vec3], coefficients: &[[f64; 4]]) -> Self {
+        let lanes = |of: &dyn Fn(usize) -> f64| {
+            std::array::from_fn(|l| if l < nodes.len() { of(l) } else { 0.0 })
+        };
+        Self {
+            node: std::array::from_fn(|axis| lanes(&|l| nodes[l][axis])),
+            coefficient: std::array::from_fn(|c| lanes(&|l| coefficients[l][c])),
+        }
+    }
+
+    /// Adds to `f` and `g` what each lane's node gives to value and gradient at `x`.
+    #[inline(always)]
+    fn add(&self, kernel: Kernel, x: &Vec3, f: &mut [f64; LANES], g: &mut [[f64; LANES]; 3]) {
+        let mut d = [[0.0; LANES]; 3];
+        for axis in 0..3 {
+            for l in 0..LANES {
+                d[axis][l] = x[axis] - self.node[axis][l];
+            }
+        }
+        let [w, u, v, t] = &self.coefficient;
+        for l in 0..LANES {
+            let (dx, dy, dz) = (d[0][l], d[1][l], d[2][l]);
+            let r = kernel.radial(dx * dx + dy * dy + dz * dz);
+            let along = u[l] * dx + v[l] * dy + t[l] * dz;
+            f[l] += r.value * w[l] - r.a * along;
+            let way = r.a * w[l] - r.b * along;
+            g[0][l] += way * dx - r.a * u[l];
+            g[1][l] += way * dy - r.a * v[l];
+            g[2][l] += way * dz - r.a * t[l];
+        }
+    }
+
+    /// Adds to `f` what each lane's node gives to the value at `x`.
+    #[inline(always)]
+    fn add_value(&self, kernel: Kernel, x: &Vec3, f: &mut [f64; LANES]) {
+        let [w, u, v, t] = &self.coefficient;
+        for l in 0..LANES {
+            let [dx, dy, dz] = std::array::from_fn(|axis| x[axis] - self.node[axis][l]);
+            let r = kernel.radial(dx * dx + dy * dy + dz * dz);
+            let along = u[l] * dx + v[l] * dy + t[l] * dz;
+            f[l] += r.value * w[l] - r.a * along;
+        }
+    }
+}
+
+/// The lanes' sum, in one fixed order.
+fn total(lanes: &[f64; LANES]) -> f64 {
+    let [a, b, c, d, e, f, g, h] = lanes;
+    ((a + e) + (c + g)) + ((b + f) + (d + h))
+}
+
 /// A solved local field in local coordinates.
 #[derive(Clone, Debug)]
 pub(super) struct LocalField {
     kernel: Kernel,
-    nodes: Vec<Vec3>,
-    /// Coefficients of the kernel and of its three derivatives, per node.
-    coefficients: Vec<[f64; 4]>,
+    blocks: Vec<Block>,
     polynomial: Vec<f64>,
     /// Posterior variance of the value at the origin.
     pub centre_variance: f64,
@@ -328,40 +391,52 @@ pub(super) struct LocalField {
 
 impl LocalField {
     /// Value at `x` (local coordinates and units).
+    #[inline(always)]
     pub(super) fn value(&self, x: &Vec3) -> f64 {
         let (terms, _) = self.kernel.monomials(x);
-        let mut f: f64 = self.polynomial.iter().zip(&terms).map(|(c, t)| c * t).sum();
-        for (node, c) in self.nodes.iter().zip(&self.coefficients) {
-            let d = x - node;
-            let r = self.kernel.radial(d.norm_squared());
-            f += r.value * c[0] - r.a * (c[1] * d.x + c[2] * d.y + c[3] * d.z);
+        let polynomial: f64 = self.polynomial.iter().zip(&terms).map(|(c, t)| c * t).sum();
+        let mut f = [0.0; LANES];
+        match self.kernel {
+            Kernel::Cubic => self.add_values(Kernel::Cubic, x, &mut f),
+            Kernel::Quintic => self.add_values(Kernel::Quintic, x, &mut f),
+            Kernel::Septic => self.add_values(Kernel::Septic, x, &mut f),
         }
-        f
+        polynomial + total(&f)
     }
 
     /// Value and gradient at `x` (local coordinates; the gradient needs no scaling).
+    #[inline(always)]
     pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
         let (terms, slopes) = self.kernel.monomials(x);
-        let mut f = 0.0;
-        let mut g = Vec3::zeros();
+        let (mut f, mut g) = ([0.0; LANES], [[0.0; LANES]; 3]);
+        match self.kernel {
+            Kernel::Cubic => self.add_all(Kernel::Cubic, x, &mut f, &mut g),
+            Kernel::Quintic => self.add_all(Kernel::Quintic, x, &mut f, &mut g),
+            Kernel::Septic => self.add_all(Kernel::Septic, x, &mut f, &mut g),
+        }
+        let mut value = total(&f);
+        let mut gradient = Vec3::from_fn(|axis, _| total(&g[axis]));
         for (t, c) in self.polynomial.iter().enumerate() {
-            f += c * terms[t];
-            g += *c * Vec3::from(slopes[t]);
+            value += c * terms[t];
+            gradient += *c * Vec3::from(slopes[t]);
         }
-        for (node, c) in self.nodes.iter().zip(&self.coefficients) {
-            let d = x - node;
-            let r = self.kernel.radial(d.norm_squared());
-            let beta = Vec3::new(c[1], c[2], c[3]);
-            let along = beta.dot(&d);
-            f += r.value * c[0] - r.a * along;
-            g += (r.a * c[0] - r.b * along) * d - r.a * beta;
-        }
-        (f, g)
+        (value, gradient)
+    }
+
+    // The kernel is handed in as a constant, so that the loops over the lanes hold no branch.
+    #[inline(always)]
+    fn add_values(&self, kernel: Kernel, x: &Vec3, f: &mut [f64; LANES]) {
+        self.blocks.iter().for_each(|b| b.add_value(kernel, x, f));
+    }
+
+    #[inline(always)]
+    fn add_all(&self, kernel: Kernel, x: &Vec3, f: &mut [f64; LANES], g: &mut [[f64; LANES]; 3]) {
+        self.blocks.iter().for_each(|b| b.add(kernel, x, f, g));
     }
 
     /// Bytes held.
     pub(super) fn bytes(&self) -> usize {
-        self.nodes.len() * (size_of::<Vec3>() + size_of::<[f64; 4]>()) + self.polynomial.len() * 8
+        self.blocks.len() * size_of::<Block>() + self.polynomial.len() * 8
     }
 }
 
