@@ -348,6 +348,10 @@ impl FieldFit {
     }
 }
 
+/// Share of the contacts up to which setting them aside leaves noise and spacing as they were estimated with them: these are
+/// medians.
+const FEW: f64 = 0.02;
+
 /// Fits the field to those contacts that do not contradict it.
 fn fit(frame: Frame, mut data: Normalised, options: &Options) -> Result<FieldFit, ExtractError> {
     let kernel = match options.method {
@@ -357,8 +361,8 @@ fn fit(frame: Frame, mut data: Normalised, options: &Options) -> Result<FieldFit
     let mut outliers = Vec::new();
     let mut tree = Neighbourhoods::new(data.positions.clone());
     let mut set_aside = |data: &mut Normalised, tree: &mut Neighbourhoods, marked: &[bool]| {
-        let any = marked.contains(&true);
-        if any {
+        let count = marked.iter().filter(|m| **m).count();
+        if count > 0 {
             outliers.extend(
                 (0..marked.len())
                     .filter(|&i| marked[i])
@@ -367,43 +371,51 @@ fn fit(frame: Frame, mut data: Normalised, options: &Options) -> Result<FieldFit
             *data = data.without(marked);
             *tree = Neighbourhoods::new(data.positions.clone());
         }
-        any
+        count
     };
     let marked = outliers::unsupported(&data, &tree);
     set_aside(&mut data, &mut tree, &marked);
-    let mut round = 0;
-    loop {
-        let covers = smoothing::cover(&data.positions, &tree, options.neighbours, COVERED);
-        let levels = smoothing::estimate(kernel, &data, &tree);
+    let begin = |data: &Normalised, tree: &Neighbourhoods| {
+        let covers = smoothing::cover(&data.positions, tree, options.neighbours, COVERED);
+        let levels = smoothing::estimate(kernel, data, tree);
         let contact_spacing = contact_spacing(&covers);
-        let gaps = smoothing::gap_covers(&data, &tree, options.neighbours, contact_spacing);
-        let blended = build_field(kernel, &data, &covers, &gaps, &levels)?;
+        let gaps = smoothing::gap_covers(data, tree, options.neighbours, contact_spacing);
+        let fits = Fits::new(kernel, data, covers, gaps, &levels);
+        (fits, levels, contact_spacing)
+    };
+    let (mut fits, mut levels, mut contact_spacing) = begin(&data, &tree);
+    let mut round = 0;
+    let blended = loop {
+        let blended = fits.blend(&data)?;
         round += 1;
+        if round == ROUNDS {
+            break blended;
+        }
         let refit = |covers: &[Cover]| {
             let calm = smoothing::with_smoothness(Kernel::Cubic, &data, covers, &levels);
             try_balls(Kernel::Cubic, &data, covers, &calm)
         };
         let marked = outliers::contradicting(&data, &tree, &blended, &levels, &refit);
-        if round < 3 && set_aside(&mut data, &mut tree, &marked) {
-            continue;
+        match set_aside(&mut data, &mut tree, &marked) {
+            0 => break blended,
+            few if few as f64 <= FEW * marked.len() as f64 => fits.without(&marked, &data, &tree),
+            _ => (fits, levels, contact_spacing) = begin(&data, &tree),
         }
-        outliers.sort_unstable();
-        let shape = match options.method {
-            Method::Hermite(_) => Shape::Blended(blended),
-            Method::TangentPlanes => {
-                Shape::Planes(TangentPlanes::new(&data, &tree, contact_spacing))
-            }
-        };
-        return Ok(FieldFit {
-            frame,
-            data,
-            tree,
-            shape,
-            levels,
-            contact_spacing,
-            outliers,
-        });
-    }
+    };
+    outliers.sort_unstable();
+    let shape = match options.method {
+        Method::Hermite(_) => Shape::Blended(blended),
+        Method::TangentPlanes => Shape::Planes(TangentPlanes::new(&data, &tree, contact_spacing)),
+    };
+    Ok(FieldFit {
+        frame,
+        data,
+        tree,
+        shape,
+        levels,
+        contact_spacing,
+        outliers,
+    })
 }
 
 /// Typical distance of neighbouring contacts if they were spread evenly.
@@ -426,61 +438,136 @@ fn polish(field: &Shape, mesh: &mut TriangleMesh, farthest: f64) {
     });
 }
 
-/// Fits every ball and the coarse field and blends them.
+/// Rounds of fitting and setting aside at most.
+const ROUNDS: usize = 3;
+
+/// The local fits of a field.
 ///
 /// The smooth `kernel` is used where it knows the middle of the gaps nearly as well as a contact would, and the cubic one
 /// elsewhere, whose extrapolation is the calmest. Tried on torus, two-holed torus, bean, blob, mug and cube: where the
 /// surroundings are smooth the septic kernel is truer by a fifth than the cubic one, over the features of the mug and the
 /// creases of the cube it swings out by a multiple.
-fn build_field(
-    kernel: Kernel,
-    data: &Normalised,
-    covers: &[Cover],
-    gaps: &[Cover],
-    levels: &Levels,
-) -> Result<BlendedField, ExtractError> {
-    let limit = (SURE * levels.position_sigma).max(SURE_LEAST);
-    let in_gaps = try_balls(kernel, data, gaps, levels);
-    let sure: Vec<bool> = in_gaps
-        .iter()
-        .map(|ball| {
-            let sigma = |b: &Ball| b.radius * b.fit.centre_variance.sqrt();
-            ball.as_ref().is_some_and(|b| sigma(b) <= limit)
-        })
-        .collect();
-    let rough = |cover: &Cover| {
-        let near = |g: &Cover| (g.centre - cover.centre).norm() < cover.radius;
-        let (mut all, mut unsure) = (0, 0);
-        for (g, &sure) in gaps.iter().zip(&sure) {
-            if near(g) {
-                all += 1;
-                unsure += usize::from(!sure);
-            }
-        }
-        3 * unsure > all
-    };
-    let (cubic, smooth): (Vec<Cover>, Vec<Cover>) = covers.iter().cloned().partition(rough);
-    let mut balls = fit_balls(kernel, data, &smooth, levels);
-    let unsure = gaps.iter().zip(&sure).filter(|(_, sure)| !**sure);
-    let cubic: Vec<Cover> = cubic
-        .into_iter()
-        .chain(unsure.map(|(g, _)| g.clone()))
-        .collect();
-    let calm = smoothing::with_smoothness(Kernel::Cubic, data, &cubic, levels);
-    balls.extend(fit_balls(Kernel::Cubic, data, &cubic, &calm));
-    let certain = in_gaps.into_iter().zip(sure).filter(|(_, sure)| *sure);
-    balls.extend(certain.filter_map(|(ball, _)| ball));
-    if balls.is_empty() {
-        return Err(ExtractError::NoSurface);
-    }
-    let whole = [smoothing::coarse_cover(&data.positions)];
-    let coarse = fit_balls(Kernel::Cubic, data, &whole, &calm).pop();
-    Ok(BlendedField::new(balls, coarse))
+struct Fits {
+    /// Fits of one kernel with the same levels, in the order in which they are blended.
+    groups: Vec<Group>,
+    /// Levels of the cubic kernel.
+    calm: Levels,
 }
 
-fn fit_balls(kernel: Kernel, data: &Normalised, covers: &[Cover], levels: &Levels) -> Vec<Ball> {
-    let fitted = try_balls(kernel, data, covers, levels);
-    fitted.into_iter().flatten().collect()
+/// Local fits that share kernel and levels.
+struct Group {
+    kernel: Kernel,
+    levels: Levels,
+    covers: Vec<Cover>,
+    balls: Vec<Option<Ball>>,
+}
+
+impl Group {
+    fn new(kernel: Kernel, data: &Normalised, covers: Vec<Cover>, levels: &Levels) -> Self {
+        let balls = try_balls(kernel, data, &covers, levels);
+        Self {
+            kernel,
+            levels: *levels,
+            covers,
+            balls,
+        }
+    }
+}
+
+impl Fits {
+    fn new(
+        kernel: Kernel,
+        data: &Normalised,
+        covers: Vec<Cover>,
+        gaps: Vec<Cover>,
+        levels: &Levels,
+    ) -> Self {
+        let limit = (SURE * levels.position_sigma).max(SURE_LEAST);
+        let in_gaps = try_balls(kernel, data, &gaps, levels);
+        let sure: Vec<bool> = in_gaps
+            .iter()
+            .map(|ball| {
+                let sigma = |b: &Ball| b.radius * b.fit.centre_variance.sqrt();
+                ball.as_ref().is_some_and(|b| sigma(b) <= limit)
+            })
+            .collect();
+        let rough = |cover: &Cover| {
+            let near = |g: &Cover| (g.centre - cover.centre).norm() < cover.radius;
+            let (mut all, mut unsure) = (0, 0);
+            for (g, &sure) in gaps.iter().zip(&sure) {
+                if near(g) {
+                    all += 1;
+                    unsure += usize::from(!sure);
+                }
+            }
+            3 * unsure > all
+        };
+        let (mut cubic, smooth): (Vec<Cover>, Vec<Cover>) = covers.into_iter().partition(rough);
+        let mut certain = Group {
+            kernel,
+            levels: *levels,
+            covers: Vec::new(),
+            balls: Vec::new(),
+        };
+        for ((cover, ball), sure) in gaps.into_iter().zip(in_gaps).zip(sure) {
+            if sure {
+                certain.covers.push(cover);
+                certain.balls.push(ball);
+            } else {
+                cubic.push(cover);
+            }
+        }
+        let calm = smoothing::with_smoothness(Kernel::Cubic, data, &cubic, levels);
+        let smooth = Group::new(kernel, data, smooth, levels);
+        let cubic = Group::new(Kernel::Cubic, data, cubic, &calm);
+        Self {
+            groups: vec![smooth, cubic, certain],
+            calm,
+        }
+    }
+
+    /// Leaves contacts out: `gone` tells which of those before, `data` and `tree` are what is left. Only fits that held one
+    /// of them are made again, with as many contacts as before.
+    fn without(&mut self, gone: &[bool], data: &Normalised, tree: &Neighbourhoods) {
+        let mut number = 0;
+        let numbers: Vec<u32> = gone
+            .iter()
+            .map(|gone| {
+                number += u32::from(!gone);
+                number.wrapping_sub(1)
+            })
+            .collect();
+        for group in &mut self.groups {
+            let (mut changed, mut again) = (Vec::new(), Vec::new());
+            for (place, cover) in group.covers.iter_mut().enumerate() {
+                if cover.members.iter().any(|&i| gone[i as usize]) {
+                    *cover = Cover::around(cover.centre, tree, cover.members.len());
+                    changed.push(place);
+                    again.push(cover.clone());
+                } else {
+                    for member in &mut cover.members {
+                        *member = numbers[*member as usize];
+                    }
+                }
+            }
+            let balls = try_balls(group.kernel, data, &again, &group.levels);
+            for (place, ball) in changed.into_iter().zip(balls) {
+                group.balls[place] = ball;
+            }
+        }
+    }
+
+    /// Blends the fits and the coarse field.
+    fn blend(&self, data: &Normalised) -> Result<BlendedField, ExtractError> {
+        let balls = self.groups.iter().flat_map(|g| &g.balls).flatten();
+        let balls: Vec<Ball> = balls.cloned().collect();
+        if balls.is_empty() {
+            return Err(ExtractError::NoSurface);
+        }
+        let whole = [smoothing::coarse_cover(&data.positions)];
+        let coarse = try_balls(Kernel::Cubic, data, &whole, &self.calm).pop();
+        Ok(BlendedField::new(balls, coarse.flatten()))
+    }
 }
 
 fn try_balls(
@@ -495,9 +582,11 @@ fn try_balls(
             if cover.radius <= 0.0 {
                 return None;
             }
+            let tau2 = {
+                let problem = smoothing::problem(kernel, data, &cover.thinned(), levels);
+                smoothing::choose_tau2(&problem, cover.radius, levels.tau2, Some(levels.tau2))
+            };
             let problem = smoothing::problem(kernel, data, cover, levels);
-            let tau2 =
-                smoothing::choose_tau2(&problem, cover.radius, levels.tau2, Some(levels.tau2));
             let fit = problem.solve(smoothing::local_tau2(&problem, cover.radius, tau2))?;
             Some(Ball {
                 centre: cover.centre,

@@ -14,7 +14,7 @@
 //! one, the sharp features of multi-level partitions of unity (Ohtake et al. 2003) with sheets that were found beforehand.
 
 use super::{
-    build_field, contacts::Normalised, field::BlendedField, kernel::Kernel, options::ExtractError,
+    Fits, contacts::Normalised, field::BlendedField, kernel::Kernel, options::ExtractError,
     sides::Sides, smoothing, smoothing::Levels,
 };
 use crate::{Vec3, cloud::Neighbourhoods};
@@ -113,7 +113,7 @@ impl SheetField {
             let count = neighbours.min(own.positions.len());
             let covers = smoothing::cover(&own.positions, &tree, count, super::COVERED);
             let levels = smoothing::with_smoothness(kernel, &own, &covers, levels);
-            let field = build_field(kernel, &own, &covers, &[], &levels)?;
+            let field = Fits::new(kernel, &own, covers, Vec::new(), &levels).blend(&own)?;
             sheets.push(Sheet {
                 field,
                 contacts: tree,
