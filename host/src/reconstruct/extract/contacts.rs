@@ -28,6 +28,8 @@ pub(super) struct Normalised {
     pub normals: Vec<Vec3>,
     /// Standard deviation of each position against the typical one.
     pub relative_sigma: Vec<f64>,
+    /// Standard deviation of each normal against the typical one.
+    pub relative_tilt: Vec<f64>,
     /// Index of each contact in the cloud.
     pub source: Vec<usize>,
 }
@@ -40,6 +42,7 @@ impl Normalised {
             positions: kept.iter().map(|&i| self.positions[i]).collect(),
             normals: kept.iter().map(|&i| self.normals[i]).collect(),
             relative_sigma: kept.iter().map(|&i| self.relative_sigma[i]).collect(),
+            relative_tilt: kept.iter().map(|&i| self.relative_tilt[i]).collect(),
             source: kept.iter().map(|&i| self.source[i]).collect(),
         }
     }
@@ -101,6 +104,7 @@ pub(super) fn normalise(cloud: &Cloud) -> Result<(Frame, Normalised), ExtractErr
             positions,
             normals: cloud.points.iter().map(|p| p.normal.normalize()).collect(),
             relative_sigma,
+            relative_tilt: vec![1.0; found],
             source: (0..found).collect(),
         },
     ))

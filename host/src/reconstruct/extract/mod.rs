@@ -15,6 +15,7 @@
 //! consistently oriented outward, closed or with clean borders.
 
 mod border;
+mod bridges;
 mod contacts;
 mod cube;
 mod field;
@@ -177,6 +178,7 @@ pub fn extract_sheets(
     }
     FieldFit {
         frame,
+        witnesses: (data.normals.clone(), tree.clone()),
         data,
         tree,
         shape: Shape::Sheets(field),
@@ -192,6 +194,8 @@ pub struct FieldFit {
     frame: Frame,
     data: Normalised,
     tree: Neighbourhoods,
+    /// Normals and places of those that tell inside from outside: the contacts and what they foretell in gaps.
+    witnesses: (Vec<Vec3>, Neighbourhoods),
     shape: Shape,
     levels: Levels,
     contact_spacing: f64,
@@ -222,6 +226,7 @@ impl FieldFit {
             frame,
             data,
             tree,
+            witnesses,
             shape,
             levels,
             contact_spacing,
@@ -266,8 +271,8 @@ impl FieldFit {
         };
         let reach = far.max(hole_radius + 2.0 * spacing);
         let sides = Sides {
-            normals: &data.normals,
-            tree: &tree,
+            normals: &witnesses.0,
+            tree: &witnesses.1,
             spacing: contact_spacing,
         };
         let marched = Lattice { spacing }.march(
@@ -379,14 +384,20 @@ fn fit(frame: Frame, mut data: Normalised, options: &Options) -> Result<FieldFit
         let covers = smoothing::cover(&data.positions, tree, options.neighbours, COVERED);
         let levels = smoothing::estimate(kernel, data, tree);
         let contact_spacing = contact_spacing(&covers);
-        let gaps = smoothing::gap_covers(data, tree, options.neighbours, contact_spacing);
-        let fits = Fits::new(kernel, data, covers, gaps, &levels);
+        let fits = Fits::bridged(
+            kernel,
+            data,
+            tree,
+            covers,
+            (&levels, contact_spacing),
+            options,
+        );
         (fits, levels, contact_spacing)
     };
     let (mut fits, mut levels, mut contact_spacing) = begin(&data, &tree);
     let mut round = 0;
     let blended = loop {
-        let blended = fits.blend(&data)?;
+        let blended = fits.blend()?;
         round += 1;
         if round == ROUNDS {
             break blended;
@@ -398,7 +409,7 @@ fn fit(frame: Frame, mut data: Normalised, options: &Options) -> Result<FieldFit
         let marked = outliers::contradicting(&data, &tree, &blended, &levels, &refit);
         match set_aside(&mut data, &mut tree, &marked) {
             0 => break blended,
-            few if few as f64 <= FEW * marked.len() as f64 => fits.without(&marked, &data, &tree),
+            few if few as f64 <= FEW * marked.len() as f64 => fits.without(marked),
             _ => (fits, levels, contact_spacing) = begin(&data, &tree),
         }
     };
@@ -411,6 +422,7 @@ fn fit(frame: Frame, mut data: Normalised, options: &Options) -> Result<FieldFit
         frame,
         data,
         tree,
+        witnesses: (fits.data.normals, fits.tree),
         shape,
         levels,
         contact_spacing,
@@ -448,6 +460,9 @@ const ROUNDS: usize = 3;
 /// surroundings are smooth the septic kernel is truer by a fifth than the cubic one, over the features of the mug and the
 /// creases of the cube it swings out by a multiple.
 struct Fits {
+    /// The contacts, those that are foretold included.
+    data: Normalised,
+    tree: Neighbourhoods,
     /// Fits of one kernel with the same levels, in the order in which they are blended.
     groups: Vec<Group>,
     /// Levels of the cubic kernel.
@@ -475,15 +490,39 @@ impl Group {
 }
 
 impl Fits {
+    /// Fits the contacts and those that they foretell in the gaps of thin walls; `covers` are those of the contacts alone.
+    fn bridged(
+        kernel: Kernel,
+        contacts: &Normalised,
+        tree: &Neighbourhoods,
+        covers: Vec<Cover>,
+        (levels, spacing): (&Levels, f64),
+        options: &Options,
+    ) -> Self {
+        let data = bridges::bridged(contacts, tree, levels, spacing);
+        let foretold = data.positions.len() > contacts.positions.len();
+        let k = options.neighbours;
+        let (tree, covers) = if foretold {
+            let tree = Neighbourhoods::new(data.positions.clone());
+            let covers = smoothing::cover(&data.positions, &tree, k, COVERED);
+            (tree, covers)
+        } else {
+            (tree.clone(), covers)
+        };
+        let gaps = smoothing::gap_covers(&data, &tree, k, spacing);
+        Self::new(kernel, data, tree, covers, gaps, levels)
+    }
+
     fn new(
         kernel: Kernel,
-        data: &Normalised,
+        data: Normalised,
+        tree: Neighbourhoods,
         covers: Vec<Cover>,
         gaps: Vec<Cover>,
         levels: &Levels,
     ) -> Self {
         let limit = (SURE * levels.position_sigma).max(SURE_LEAST);
-        let in_gaps = try_balls(kernel, data, &gaps, levels);
+        let in_gaps = try_balls(kernel, &data, &gaps, levels);
         let sure: Vec<bool> = in_gaps
             .iter()
             .map(|ball| {
@@ -517,18 +556,23 @@ impl Fits {
                 cubic.push(cover);
             }
         }
-        let calm = smoothing::with_smoothness(Kernel::Cubic, data, &cubic, levels);
-        let smooth = Group::new(kernel, data, smooth, levels);
-        let cubic = Group::new(Kernel::Cubic, data, cubic, &calm);
+        let calm = smoothing::with_smoothness(Kernel::Cubic, &data, &cubic, levels);
+        let smooth = Group::new(kernel, &data, smooth, levels);
+        let cubic = Group::new(Kernel::Cubic, &data, cubic, &calm);
         Self {
+            data,
+            tree,
             groups: vec![smooth, cubic, certain],
             calm,
         }
     }
 
-    /// Leaves contacts out: `gone` tells which of those before, `data` and `tree` are what is left. Only fits that held one
-    /// of them are made again, with as many contacts as before.
-    fn without(&mut self, gone: &[bool], data: &Normalised, tree: &Neighbourhoods) {
+    /// Leaves contacts out that are `gone`. Only fits that held one of them are made again, with as many contacts as before.
+    fn without(&mut self, mut gone: Vec<bool>) {
+        gone.resize(self.data.positions.len(), false);
+        self.data = self.data.without(&gone);
+        self.tree = Neighbourhoods::new(self.data.positions.clone());
+        let (data, tree) = (&self.data, &self.tree);
         let mut number = 0;
         let numbers: Vec<u32> = gone
             .iter()
@@ -558,14 +602,14 @@ impl Fits {
     }
 
     /// Blends the fits and the coarse field.
-    fn blend(&self, data: &Normalised) -> Result<BlendedField, ExtractError> {
+    fn blend(&self) -> Result<BlendedField, ExtractError> {
         let balls = self.groups.iter().flat_map(|g| &g.balls).flatten();
         let balls: Vec<Ball> = balls.cloned().collect();
         if balls.is_empty() {
             return Err(ExtractError::NoSurface);
         }
-        let whole = [smoothing::coarse_cover(&data.positions)];
-        let coarse = try_balls(Kernel::Cubic, data, &whole, &self.calm).pop();
+        let whole = [smoothing::coarse_cover(&self.data.positions)];
+        let coarse = try_balls(Kernel::Cubic, &self.data, &whole, &self.calm).pop();
         Ok(BlendedField::new(balls, coarse.flatten()))
     }
 }

@@ -113,11 +113,12 @@ impl SheetField {
             let count = neighbours.min(own.positions.len());
             let covers = smoothing::cover(&own.positions, &tree, count, super::COVERED);
             let levels = smoothing::with_smoothness(kernel, &own, &covers, levels);
-            let field = Fits::new(kernel, &own, covers, Vec::new(), &levels).blend(&own)?;
+            let normals = own.normals.clone();
+            let fits = Fits::new(kernel, own, tree.clone(), covers, Vec::new(), &levels);
             sheets.push(Sheet {
-                field,
+                field: fits.blend()?,
                 contacts: tree,
-                normals: own.normals,
+                normals,
                 flat: kernel == FLAT,
                 beyond: Vec::new(),
             });

@@ -110,6 +110,16 @@ pub(super) fn cover(positions: &[Vec3], tree: &Neighbourhoods, k: usize, share: 
     balls
 }
 
+/// Six places around a contact in its tangent plane.
+pub(super) fn around(position: Vec3, normal: Vec3, distance: f64) -> impl Iterator<Item = Vec3> {
+    let across = normal.cross(&Vec3::ith(normal.iamin(), 1.0)).normalize();
+    let along = normal.cross(&across);
+    (0..6).map(move |i| {
+        let (sin, cos) = (f64::from(i) * std::f64::consts::FRAC_PI_3).sin_cos();
+        position + distance * (cos * across + sin * along)
+    })
+}
+
 /// Balls around places between the contacts, so that gaps are interpolated from all sides instead of extrapolated from
 /// each: on the mug's tracks the largest error falls by a third.
 ///
@@ -126,11 +136,7 @@ pub(super) fn gap_covers(
         .par_iter()
         .zip(&data.normals)
         .flat_map_iter(|(p, n)| {
-            let across = n.cross(&Vec3::ith(n.iamin(), 1.0)).normalize();
-            let along = n.cross(&across);
-            (0..6).filter_map(move |i| {
-                let (s, c) = (f64::from(i) * std::f64::consts::FRAC_PI_3).sin_cos();
-                let x = p + 1.6 * spacing * (c * across + s * along);
+            around(*p, *n, 1.6 * spacing).filter_map(move |x| {
                 let (_, d2) = tree.nearest_one(&x)?;
                 (d2 > (1.1 * spacing).powi(2)).then_some(x)
             })
@@ -213,7 +219,11 @@ pub(super) fn problem(
                 .iter()
                 .map(|&i| levels.position_sigma * data.relative_sigma[i as usize] / ball.radius)
                 .collect(),
-            normal_sigma: vec![levels.normal_sigma; ball.members.len()],
+            normal_sigma: ball
+                .members
+                .iter()
+                .map(|&i| levels.normal_sigma * data.relative_tilt[i as usize])
+                .collect(),
         },
     )
 }
