@@ -332,7 +332,20 @@ fn run(
     out.simplified = Some(frame.mesh(&simplified.mesh));
     let most = MOST_BASE_PATCHES.max(MOST_BASE_PATCHES_PER_CONTACT * cloud.points.len());
     if options.stop_after > Stage::Simplify && simplified.mesh.faces.len() > most {
-        return Err(ExtractError::NoSurface.into());
+        if creased.lines.edges.is_empty() {
+            return Err(ExtractError::NoSurface.into());
+        }
+        // Sheets that were taken wrongly tear the surface; a smooth one is rounded off at edges, and whole.
+        let smooth = Options {
+            creases: None,
+            ..options.clone()
+        };
+        let mut out = run(cloud, &smooth, progress)?;
+        out.report.notes.push(
+            "sheets that break with one another were found, but no surface with few patches: edges follow one smooth field"
+                .to_owned(),
+        );
+        return Ok(out);
     }
     out.report.phases.push(PhaseFigures {
         name: "simplify".into(),

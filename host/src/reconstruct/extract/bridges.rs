@@ -43,6 +43,10 @@ const RISE: f64 = 0.35;
 /// The uncertainty where another side's contacts are nearer than its own: anything is better there than to follow those (a
 /// wall of 0.07 with a gap of 0.3: surface off by 122e-3, 14e-3 with this).
 const SURE_ALONE: f64 = 0.6;
+/// Contacts that face across are asked within this distance, and take what lies within this of their plane for neither side,
+/// in spacings.
+const ACROSS: f64 = 4.0;
+const LEVEL: f64 = 0.2;
 /// Standard deviations that such a fit promises, against those it keeps ([`super::outliers`] has the like).
 const TRUST: f64 = 2.0;
 /// Quadratic polynomials go on past the last contact without swinging, as for sheets.
@@ -101,7 +105,7 @@ pub(super) fn bridged(
             let rise = (at - place.at).norm();
             if rise > RISE * spacing
                 || normal.dot(&place.facing) < SAME
-                || !on_its_side(&at, place, data, tree)
+                || !on_its_side(&at, &normal, place, (data, tree), spacing)
             {
                 continue;
             }
@@ -180,14 +184,30 @@ fn foot(start: &Vec3, jet: impl Fn(&Vec3) -> (f64, Vec3)) -> Option<(Vec3, Vec3)
     fine.then(|| (at, gradient / length))
 }
 
-/// Whether `at` lies as the contact beside it lies to the nearest contacts of other sides: behind them, through a wall,
-/// or before them, across a slot.
-fn on_its_side(at: &Vec3, place: &Place, data: &Normalised, tree: &Neighbourhoods) -> bool {
-    tree.nearest(at, WITNESSES)
-        .into_iter()
-        .filter(|(j, _)| data.normals[*j].dot(&place.facing) < OPPOSITE)
-        .all(|(j, _)| {
-            let height = |x: &Vec3| (x - data.positions[j]).dot(&data.normals[j]);
+/// Whether the contacts around could lie on one surface with the place `at` and its `normal`.
+///
+/// Those of other sides have to see it as they see the contact beside it: behind them, through a wall, or before them, across
+/// a slot. Those that face across must not lie behind its plane while it lies before theirs: so lies a face that is carried
+/// on past its edge into the air.
+fn on_its_side(
+    at: &Vec3,
+    normal: &Vec3,
+    place: &Place,
+    contacts: (&Normalised, &Neighbourhoods),
+    spacing: f64,
+) -> bool {
+    let (data, tree) = contacts;
+    tree.nearest(at, WITNESSES).into_iter().all(|(j, d2)| {
+        let (p, n) = (data.positions[j], data.normals[j]);
+        let facing = n.dot(&place.facing);
+        let height = |x: &Vec3| (x - p).dot(&n);
+        if facing < OPPOSITE {
             height(at) * height(&place.beside) > 0.0
-        })
+        } else if facing < SAME && d2 < (ACROSS * spacing).powi(2) {
+            let level = LEVEL * spacing;
+            height(at) < level || (p - at).dot(normal) > -level
+        } else {
+            true
+        }
+    })
 }
