@@ -6,8 +6,6 @@
 
 use std::collections::HashMap;
 
-use pulp::{Arch, NullaryFnOnce};
-
 use super::{
     contacts::Frame, local_fit::LocalField, planes::TangentPlanes, sheets::SheetField,
     smoothing::Levels,
@@ -191,12 +189,10 @@ pub(super) struct Ball {
 }
 
 impl Ball {
-    #[inline(always)]
     fn value(&self, x: &Vec3) -> f64 {
         self.radius * self.fit.value(&((x - self.centre) / self.radius))
     }
 
-    #[inline(always)]
     pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
         let (f, g) = self
             .fit
@@ -260,16 +256,6 @@ impl BlendedField {
 
     /// Value at `x`; NaN where nothing speaks.
     pub(super) fn value(&self, x: &Vec3) -> f64 {
-        Arch::new().dispatch(ValueAt { field: self, x })
-    }
-
-    /// Value and gradient at `x`, the blend's own derivative included; NaN where nothing speaks.
-    pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
-        Arch::new().dispatch(JetAt { field: self, x })
-    }
-
-    #[inline(always)]
-    fn value_here(&self, x: &Vec3) -> f64 {
         let (mut sum, mut weight) = (0.0, 0.0);
         for (ball, t) in self.reaching(x) {
             let w = (1.0 - t).powi(4) * (4.0 * t + 1.0);
@@ -283,8 +269,8 @@ impl BlendedField {
         sum / weight
     }
 
-    #[inline(always)]
-    fn jet_here(&self, x: &Vec3) -> (f64, Vec3) {
+    /// Value and gradient at `x`, the blend's own derivative included; NaN where nothing speaks.
+    pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
         let (mut sum, mut weight) = (0.0, 0.0);
         let (mut slope, mut weight_slope) = (Vec3::zeros(), Vec3::zeros());
         for (ball, t) in self.reaching(x) {
@@ -330,36 +316,6 @@ impl BlendedField {
         let balls = self.balls.iter().chain(&self.coarse);
         let lookup: usize = self.lookup.values().map(|v| 48 + 4 * v.len()).sum();
         balls.map(|b| b.fit.bytes()).sum::<usize>() + lookup
-    }
-}
-
-/// [`BlendedField::value`], made for each kind of processor.
-struct ValueAt<'a> {
-    field: &'a BlendedField,
-    x: &'a Vec3,
-}
-
-impl NullaryFnOnce for ValueAt<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn call(self) -> f64 {
-        self.field.value_here(self.x)
-    }
-}
-
-/// [`BlendedField::value_and_gradient`], made for each kind of processor.
-struct JetAt<'a> {
-    field: &'a BlendedField,
-    x: &'a Vec3,
-}
-
-impl NullaryFnOnce for JetAt<'_> {
-    type Output = (f64, Vec3);
-
-    #[inline(always)]
-    fn call(self) -> (f64, Vec3) {
-        self.field.jet_here(self.x)
     }
 }
 

@@ -81,7 +81,7 @@ impl Kernel {
     }
 
     /// The monomials at `x` (the first `terms()` entries) and their gradients.
-    #[inline(always)]
+    #[inline]
     pub(super) fn monomials(self, x: &Vec3) -> ([f64; MAX_TERMS], [[f64; 3]; MAX_TERMS]) {
         let (x, y, z) = (x.x, x.y, x.z);
         let mut value = [0.0; MAX_TERMS];

@@ -17,6 +17,8 @@ use faer::{
     linalg::triangular_inverse,
 };
 
+use pulp::{Arch, NullaryFnOnce};
+
 use super::{kernel::Kernel, orthogonal::Orthogonal};
 use crate::Vec3;
 
@@ -391,29 +393,16 @@ pub(super) struct LocalField {
 
 impl LocalField {
     /// Value at `x` (local coordinates and units).
-    #[inline(always)]
     pub(super) fn value(&self, x: &Vec3) -> f64 {
         let (terms, _) = self.kernel.monomials(x);
         let polynomial: f64 = self.polynomial.iter().zip(&terms).map(|(c, t)| c * t).sum();
-        let mut f = [0.0; LANES];
-        match self.kernel {
-            Kernel::Cubic => self.add_values(Kernel::Cubic, x, &mut f),
-            Kernel::Quintic => self.add_values(Kernel::Quintic, x, &mut f),
-            Kernel::Septic => self.add_values(Kernel::Septic, x, &mut f),
-        }
-        polynomial + total(&f)
+        polynomial + total(&Arch::new().dispatch(Values { field: self, x }))
     }
 
     /// Value and gradient at `x` (local coordinates; the gradient needs no scaling).
-    #[inline(always)]
     pub(super) fn value_and_gradient(&self, x: &Vec3) -> (f64, Vec3) {
         let (terms, slopes) = self.kernel.monomials(x);
-        let (mut f, mut g) = ([0.0; LANES], [[0.0; LANES]; 3]);
-        match self.kernel {
-            Kernel::Cubic => self.add_all(Kernel::Cubic, x, &mut f, &mut g),
-            Kernel::Quintic => self.add_all(Kernel::Quintic, x, &mut f, &mut g),
-            Kernel::Septic => self.add_all(Kernel::Septic, x, &mut f, &mut g),
-        }
+        let (f, g) = Arch::new().dispatch(Jets { field: self, x });
         let mut value = total(&f);
         let mut gradient = Vec3::from_fn(|axis, _| total(&g[axis]));
         for (t, c) in self.polynomial.iter().enumerate() {
@@ -423,20 +412,54 @@ impl LocalField {
         (value, gradient)
     }
 
-    // The kernel is handed in as a constant, so that the loops over the lanes hold no branch.
-    #[inline(always)]
-    fn add_values(&self, kernel: Kernel, x: &Vec3, f: &mut [f64; LANES]) {
-        self.blocks.iter().for_each(|b| b.add_value(kernel, x, f));
-    }
-
-    #[inline(always)]
-    fn add_all(&self, kernel: Kernel, x: &Vec3, f: &mut [f64; LANES], g: &mut [[f64; LANES]; 3]) {
-        self.blocks.iter().for_each(|b| b.add(kernel, x, f, g));
-    }
-
     /// Bytes held.
     pub(super) fn bytes(&self) -> usize {
         self.blocks.len() * size_of::<Block>() + self.polynomial.len() * 8
+    }
+}
+
+/// What the nodes give to the value, lane by lane; made for each kind of processor. The kernel is handed in as a constant,
+/// so that the loops hold no branch.
+struct Values<'a> {
+    field: &'a LocalField,
+    x: &'a Vec3,
+}
+
+impl NullaryFnOnce for Values<'_> {
+    type Output = [f64; LANES];
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let mut f = [0.0; LANES];
+        let blocks = self.field.blocks.iter();
+        match self.field.kernel {
+            Kernel::Cubic => blocks.for_each(|b| b.add_value(Kernel::Cubic, self.x, &mut f)),
+            Kernel::Quintic => blocks.for_each(|b| b.add_value(Kernel::Quintic, self.x, &mut f)),
+            Kernel::Septic => blocks.for_each(|b| b.add_value(Kernel::Septic, self.x, &mut f)),
+        }
+        f
+    }
+}
+
+/// The same for the value and the gradient.
+struct Jets<'a> {
+    field: &'a LocalField,
+    x: &'a Vec3,
+}
+
+impl NullaryFnOnce for Jets<'_> {
+    type Output = ([f64; LANES], [[f64; LANES]; 3]);
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let (mut f, mut g) = ([0.0; LANES], [[0.0; LANES]; 3]);
+        let blocks = self.field.blocks.iter();
+        match self.field.kernel {
+            Kernel::Cubic => blocks.for_each(|b| b.add(Kernel::Cubic, self.x, &mut f, &mut g)),
+            Kernel::Quintic => blocks.for_each(|b| b.add(Kernel::Quintic, self.x, &mut f, &mut g)),
+            Kernel::Septic => blocks.for_each(|b| b.add(Kernel::Septic, self.x, &mut f, &mut g)),
+        }
+        (f, g)
     }
 }
 
