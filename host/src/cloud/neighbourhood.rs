@@ -9,9 +9,12 @@
 //! ones included. Memory is 29 bytes per point beside the positions; recursion is log2 of the point count deep.
 
 use crate::Vec3;
+use std::collections::BinaryHeap;
 
 /// Points of a leaf at most: below this, comparing all is cheaper than descending.
 const LEAF: usize = 12;
+/// Found points up to which a sorted list is quicker than a heap.
+const FEW: usize = 24;
 
 /// A k-d tree over fixed positions.
 #[derive(Clone, Debug)]
@@ -108,15 +111,27 @@ impl Neighbourhoods {
 
     fn nearest_few(&self, query: &Vec3, count: usize, limit: f64) -> Vec<(usize, f64)> {
         let count = count.min(self.order.len());
-        let mut few = Few {
-            found: Vec::with_capacity(count),
+        if count == 0 {
+            return Vec::new();
+        }
+        if count <= FEW {
+            let found = Vec::with_capacity(count);
+            let mut few = Few {
+                found,
+                count,
+                limit,
+            };
+            self.search(query, 0, self.order.len(), &mut few);
+            return pairs(few.found);
+        }
+        let found = BinaryHeap::with_capacity(count);
+        let mut many = Many {
+            found,
             count,
             limit,
         };
-        if count > 0 {
-            self.search(query, 0, self.order.len(), &mut few);
-        }
-        pairs(few.found)
+        self.search(query, 0, self.order.len(), &mut many);
+        pairs(many.found.into_sorted_vec())
     }
 
     /// Shows `keep` the points of a range of the tree that may be near enough.
@@ -192,6 +207,35 @@ impl Keep for Few {
 
     fn reach(&self) -> f64 {
         match self.found.last() {
+            Some(worst) if self.found.len() == self.count => worst.squared.min(self.limit),
+            _ => self.limit,
+        }
+    }
+}
+
+/// The same for more than a few: the farthest on top of a heap.
+struct Many {
+    found: BinaryHeap<Found>,
+    count: usize,
+    limit: f64,
+}
+
+impl Keep for Many {
+    fn show(&mut self, found: Found) {
+        if found.squared > self.limit {
+            return;
+        }
+        if self.found.len() < self.count {
+            self.found.push(found);
+        } else if let Some(mut worst) = self.found.peek_mut()
+            && found < *worst
+        {
+            *worst = found;
+        }
+    }
+
+    fn reach(&self) -> f64 {
+        match self.found.peek() {
             Some(worst) if self.found.len() == self.count => worst.squared.min(self.limit),
             _ => self.limit,
         }

@@ -295,8 +295,7 @@ fn run(
     // Dense tracks are averaged for the phases that look at neighbourhoods; the fit hears every contact.
     let averaged = averaging::average(&inner);
     let spread = averaged.as_ref().map_or(&inner, |a| &a.cloud);
-    let field = extract::fit_field(spread, &extract_options)?;
-    let (mut extracted, creased, note) = find_creases(spread, field, options, &extract_options)?;
+    let (mut extracted, creased, note) = find_creases(spread, options, &extract_options)?;
     out.report.notes.extend(note);
     if let Some(averaged) = &averaged {
         of_single_contacts(&mut extracted, averaged);
@@ -648,59 +647,76 @@ fn kept(inner: &Cloud, outliers: &[usize]) -> Vec<usize> {
 
 /// Follows the field's surface. Smooth sheets that break with one another are looked for first; where there are some, each
 /// gets a field of its own and the surface is cut along the lines where they meet. If they give no surface, a note says so.
+///
+/// Sheets are found best without outliers, which a field tells; and a field that is followed needs more care than one that
+/// only tells outliers. So sheets are looked for in all contacts first, to know which field will do, and then in the rest.
 fn find_creases(
     inner: &Cloud,
-    field: FieldFit,
     options: &Options,
     extract_options: &extract::Options,
 ) -> Result<(Extracted, Creased, Option<String>), ReconstructError> {
-    let plain = |field: FieldFit| {
+    let smooth = |field: Option<FieldFit>, note: Option<String>| {
+        let field = match field {
+            Some(field) => field,
+            None => extract::fit_field(inner, extract_options)?,
+        };
         let extracted = field.trace(extract_options)?;
         let mesh = extracted.mesh.clone();
         let creased = Creased {
             mesh,
             ..Creased::default()
         };
-        Ok((extracted, creased, None))
+        Ok((extracted, creased, note))
     };
     // A chart is smooth everywhere.
     let wanted = options.creases.as_ref().filter(|_| options.chart.is_none());
     let Some(creases) = wanted else {
-        return plain(field);
+        return smooth(None, None);
     };
-    let inliers = inliers(inner, field.outliers());
-    let sheets = Sheets::of(&inliers, creases);
+    let of_all = Sheets::of(inner, creases);
+    let (field, mut outliers, noise) = if of_all.sharp().is_empty() {
+        let field = extract::fit_field(inner, extract_options)?;
+        let (outliers, noise) = (field.outliers().to_vec(), field.noise());
+        (Some(field), outliers, noise)
+    } else {
+        let (outliers, noise) = extract::find_outliers(inner, extract_options)?;
+        (None, outliers, noise)
+    };
+    let inliers = inliers(inner, &outliers);
+    let sheets = if outliers.is_empty() {
+        of_all
+    } else {
+        Sheets::of(&inliers, creases)
+    };
     if sheets.sharp().is_empty() {
-        return plain(field);
+        return smooth(field, None);
     }
     let again = extract::extract_sheets(
         &inliers,
         extract_options,
         sheets.labels(),
         sheets.sharp(),
-        &field.noise(),
+        &noise,
     );
-    let (extracted, note) = match again {
-        Ok(again) => {
-            // Those that lie off the sheets are numbered among the inliers.
-            let kept = kept(inner, field.outliers());
-            let mut outliers = field.outliers().to_vec();
-            outliers.extend(again.outliers.iter().map(|i| kept[*i]));
-            outliers.sort_unstable();
-            (Extracted { outliers, ..again }, None)
-        }
+    let again = match again {
+        Ok(again) => again,
         Err(error) => {
             let note = format!(
                 "sheets that break with one another were found but give no surface ({error}); edges follow one smooth field"
             );
-            (field.trace(extract_options)?, Some(note))
+            return smooth(field, Some(note));
         }
     };
+    // Those that lie off the sheets are numbered among the inliers.
+    let kept = kept(inner, &outliers);
+    outliers.extend(again.outliers.iter().map(|i| kept[*i]));
+    outliers.sort_unstable();
+    let extracted = Extracted { outliers, ..again };
     let field = &extracted.field;
     let creased = sheets
         .cut(&extracted.mesh, |x| field.sheet(x), &field.sharp())
         .map_err(SimplifyError::from)?;
-    Ok((extracted, creased, note))
+    Ok((extracted, creased, None))
 }
 
 fn simplify_mesh(

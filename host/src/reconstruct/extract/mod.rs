@@ -137,7 +137,30 @@ pub fn extract(cloud: &Cloud, options: &Options) -> Result<Extracted, ExtractErr
 pub fn fit_field(cloud: &Cloud, options: &Options) -> Result<FieldFit, ExtractError> {
     options.check()?;
     let (frame, all) = contacts::normalise(cloud)?;
-    fit(frame, all, options)
+    fit(frame, all, options, Care::Whole)
+}
+
+/// Outliers and noise of contacts that will be followed sheet by sheet: the field that tells them needs no care in gaps.
+///
+/// # Errors
+/// As [`extract`].
+pub fn find_outliers(
+    cloud: &Cloud,
+    options: &Options,
+) -> Result<(Vec<usize>, NoiseEstimate), ExtractError> {
+    options.check()?;
+    let (frame, all) = contacts::normalise(cloud)?;
+    let field = fit(frame, all, options, Care::AtContacts)?;
+    Ok((field.outliers.clone(), field.noise()))
+}
+
+/// Where a field has to be good.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Care {
+    /// Wherever the surface may run.
+    Whole,
+    /// At the contacts, also beside edges: cubic fits, none in gaps.
+    AtContacts,
 }
 
 /// Extracts the surface again, now that it is known which contacts of `cloud` form smooth sheets and which of these break
@@ -358,7 +381,12 @@ impl FieldFit {
 const FEW: f64 = 0.02;
 
 /// Fits the field to those contacts that do not contradict it.
-fn fit(frame: Frame, mut data: Normalised, options: &Options) -> Result<FieldFit, ExtractError> {
+fn fit(
+    frame: Frame,
+    mut data: Normalised,
+    options: &Options,
+    care: Care,
+) -> Result<FieldFit, ExtractError> {
     let kernel = match options.method {
         Method::Hermite(kernel) => kernel,
         Method::TangentPlanes => Kernel::Septic,
@@ -384,14 +412,17 @@ fn fit(frame: Frame, mut data: Normalised, options: &Options) -> Result<FieldFit
         let covers = smoothing::cover(&data.positions, tree, options.neighbours, COVERED);
         let levels = smoothing::estimate(kernel, data, tree);
         let contact_spacing = contact_spacing(&covers);
-        let fits = Fits::bridged(
-            kernel,
-            data,
-            tree,
-            covers,
-            (&levels, contact_spacing),
-            options,
-        );
+        let fits = match care {
+            Care::Whole => {
+                let known = (&levels, contact_spacing);
+                Fits::bridged(kernel, data, tree, covers, known, options)
+            }
+            Care::AtContacts => {
+                let calm = smoothing::with_smoothness(Kernel::Cubic, data, &covers, &levels);
+                let (data, tree) = (data.clone(), tree.clone());
+                Fits::new(Kernel::Cubic, data, tree, covers, Vec::new(), &calm)
+            }
+        };
         (fits, levels, contact_spacing)
     };
     let (mut fits, mut levels, mut contact_spacing) = begin(&data, &tree);
