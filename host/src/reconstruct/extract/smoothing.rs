@@ -340,7 +340,7 @@ pub(super) fn with_smoothness(
     let mut decades: Vec<f64> = sampled(balls)
         .par_iter()
         .map(|ball| {
-            let problem = problem(kernel, data, ball, levels);
+            let problem = problem(kernel, data, &ball.thinned(), levels);
             choose_tau2(&problem, ball.radius, 0.1, None).log10()
         })
         .collect();

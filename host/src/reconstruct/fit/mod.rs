@@ -152,11 +152,12 @@ pub fn fit(
         scales,
         feet: Finder::new(network, &points, NORMAL_SCALE * size).find_all(data),
         points,
+        exact: false,
     };
     let mut history = Vec::new();
     let mut best = f64::INFINITY;
     for round in 0..options.rounds {
-        let next = fitting.round(round == 0)?;
+        let next = fitting.round(round == 0, round + 1 == options.rounds)?;
         // The first round knows no curvature yet; that the next pays for it with distance is no reason to refuse it.
         let dearer = options.fair_curvature > 0.0 && round == 1;
         if dearer || next.error <= best * 1.05 {
@@ -172,6 +173,7 @@ pub fn fit(
             fitting.tether = (fitting.tether * 1e4).min(1.0);
         }
     }
+    fitting.make_exact();
     fitting.unfold(&mut history)?;
     Ok(Fit {
         points: fitting.points,
@@ -199,6 +201,8 @@ fn energy_scales(network: &Network, vertices: &[Vec3], size: f64) -> Vec<f64> {
 struct Round {
     points: Vec<Vec3>,
     feet: Vec<Option<Foot>>,
+    /// Whether the G1 equations hold to the last digits.
+    exact: bool,
     /// Weighted mean squared distance.
     error: f64,
 }
@@ -218,6 +222,8 @@ struct Fitting<'a> {
     stiffness: Vec<f64>,
     points: Vec<Vec3>,
     feet: Vec<Option<Foot>>,
+    /// Whether the G1 equations hold to the last digits.
+    exact: bool,
 }
 
 impl Fitting<'_> {
@@ -277,10 +283,25 @@ impl Fitting<'_> {
     fn take(&mut self, round: Round) {
         self.points = round.points;
         self.feet = round.feet;
+        self.exact = round.exact;
     }
 
-    /// One round: weights, sums, solution, new foot points.
-    fn round(&mut self, first: bool) -> Result<Round, SystemError> {
+    /// Puts the surface onto the G1 equations, where the last round, which does, was thrown away.
+    fn make_exact(&mut self) {
+        if !self.exact {
+            self.system.project(&mut self.points, self.size);
+            self.feet = self.found(&self.points);
+            self.exact = true;
+        }
+    }
+
+    /// The foot points on the network with these control points.
+    fn found(&self, points: &[Vec3]) -> Vec<Option<Foot>> {
+        Finder::new(self.network, points, NORMAL_SCALE * self.size).find_all(self.data)
+    }
+
+    /// One round: weights, sums, solution (`exact` or about so), new foot points.
+    fn round(&mut self, first: bool, exact: bool) -> Result<Round, SystemError> {
         let weights = weigh(self.data, &self.feet, self.options, first);
         let sums = self.accumulate(&weights, first);
         let (jumps, fair) = self.fairness(&weights, first);
@@ -293,17 +314,19 @@ impl Fitting<'_> {
                 self.tether,
                 &self.points,
                 self.size,
+                exact,
             ) {
                 // Patches that nothing holds: hold them to where they are.
                 Err(SystemError::Factor(_)) if self.tether < MAX_TETHER => self.tether *= 100.0,
                 solved => break solved?,
             }
         };
-        let feet = Finder::new(self.network, &points, NORMAL_SCALE * self.size).find_all(self.data);
+        let feet = self.found(&points);
         let error = misfit(self.data, &feet, &weights);
         Ok(Round {
             points,
             feet,
+            exact,
             error,
         })
     }
@@ -339,7 +362,7 @@ impl Fitting<'_> {
                 self.stiffness[face] = (self.stiffness[face] * 50.0).min(MAX_STIFFNESS);
             }
             let before = (self.points.clone(), self.feet.clone());
-            let next = self.round(false)?;
+            let next = self.round(false, true)?;
             self.take(next);
             let now = self.folded();
             if now.len() > folded.len() {

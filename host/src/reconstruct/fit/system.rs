@@ -39,6 +39,8 @@ const PENALTY: f64 = 1e4;
 /// Most steps of the multipliers, and the residual (relative to the size of the surface) at which they are
 /// good enough for the projection to end the work.
 const MULTIPLIER_STEPS: usize = 6;
+/// Steps of a round after which others follow: its surface only has to tell where the foot points are.
+const ROUGH_STEPS: usize = 2;
 const ROUGH_RESIDUAL: f64 = 1e-8;
 /// Steps of the projection onto the equations, and the residual at which it ends: about 1e-12 degrees.
 const PROJECTION_STEPS: usize = 12;
@@ -227,7 +229,8 @@ impl System {
     }
 
     /// Minimises the data's squares plus `jump` times the jump energy, `fair.1` times the squared jumps of curvature,
-    /// `tether` (relative to the mean diagonal) times the squared distance to `previous`, under the G1 equations.
+    /// `tether` (relative to the mean diagonal) times the squared distance to `previous`, under the G1 equations: to the last
+    /// digits if `exact`, else about to 1e-3 degrees.
     ///
     /// # Errors
     /// When the factorisation fails or the result is not finite.
@@ -239,6 +242,7 @@ impl System {
         tether: f64,
         previous: &[Vec3],
         size: f64,
+        exact: bool,
     ) -> Result<Vec<Vec3>, SystemError> {
         let mut values = vec![0.0; self.matrix.entries()];
         let mut right = vec![Vec3::zeros(); self.count];
@@ -288,7 +292,8 @@ impl System {
         self.matrix.factor(&values).map_err(SystemError::Factor)?;
         let mut multipliers = vec![Vec3::zeros(); self.equations.len()];
         let mut points = vec![Vec3::zeros(); self.count];
-        for _ in 0..MULTIPLIER_STEPS {
+        let steps = if exact { MULTIPLIER_STEPS } else { ROUGH_STEPS };
+        for _ in 0..steps {
             let mut load = right.clone();
             for (equation, multiplier) in self.equations.iter().zip(&multipliers) {
                 for (number, weight) in &equation.terms {
@@ -311,7 +316,9 @@ impl System {
                 break;
             }
         }
-        self.project(&mut points, size);
+        if exact {
+            self.project(&mut points, size);
+        }
         Ok(points)
     }
 
@@ -336,7 +343,7 @@ impl System {
 
     /// Moves the points the least way onto the space of the G1 equations: x -= A^T (A A^T + d)^-1 A x,
     /// repeated because of the small d that bridges redundant equations.
-    fn project(&mut self, points: &mut [Vec3], size: f64) {
+    pub fn project(&mut self, points: &mut [Vec3], size: f64) {
         let mut last = f64::INFINITY;
         for _ in 0..PROJECTION_STEPS {
             let residuals = self.residuals(points);
