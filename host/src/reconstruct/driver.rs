@@ -823,7 +823,7 @@ fn data(
         data.push(Datum {
             position: *position,
             normal,
-            weight: (trusted / extracted.field.confidence(position))
+            weight: (trusted / extracted.field.sample_sigma(position))
                 .powi(2)
                 .min(1.0),
             normal_weight,

@@ -17,7 +17,9 @@ use crate::{Vec3, cloud::Neighbourhoods};
 pub struct Field {
     frame: Frame,
     shape: Shape,
-    tree: Neighbourhoods,
+    contacts: Neighbourhoods,
+    /// The same with what they foretell in gaps.
+    foretold: Neighbourhoods,
     levels: Levels,
     contact_spacing: f64,
 }
@@ -26,14 +28,15 @@ impl Field {
     pub(super) fn new(
         frame: Frame,
         shape: Shape,
-        tree: Neighbourhoods,
+        [contacts, foretold]: [Neighbourhoods; 2],
         levels: Levels,
         contact_spacing: f64,
     ) -> Self {
         Self {
             frame,
             shape,
-            tree,
+            contacts,
+            foretold,
             levels,
             contact_spacing,
         }
@@ -64,8 +67,18 @@ impl Field {
     /// (in 1e-3 of the diagonal) from d = 0.3 to 2.5 spacings, as this factor does, while the posterior alone
     /// promised far less than that.
     pub fn confidence(&self, x: &Vec3) -> f64 {
+        self.sigma_beside(x, &self.contacts)
+    }
+
+    /// The same where a place that the contacts foretell in a gap counts as one of them: how far the field's own samples are
+    /// to be trusted there beside measured contacts.
+    pub fn sample_sigma(&self, x: &Vec3) -> f64 {
+        self.sigma_beside(x, &self.foretold)
+    }
+
+    fn sigma_beside(&self, x: &Vec3, places: &Neighbourhoods) -> f64 {
         let x = self.frame.inward(x);
-        let distance2 = self.tree.nearest_one(&x).map_or(1.0, |(_, d2)| d2);
+        let distance2 = places.nearest_one(&x).map_or(1.0, |(_, d2)| d2);
         let least = 0.1 * self.levels.position_sigma;
         let sigma = self
             .shape

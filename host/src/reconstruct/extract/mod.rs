@@ -363,7 +363,7 @@ impl FieldFit {
         let bytes = shape.bytes() + marched.cubes * BYTES_PER_CUBE;
         Ok(Extracted {
             mesh,
-            field: Field::new(frame, shape, tree, levels, contact_spacing),
+            field: Field::new(frame, shape, [tree, witnesses.1], levels, contact_spacing),
             noise,
             outliers,
             holes,
