@@ -211,3 +211,96 @@ fn on_its_side(
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SPACING: f64 = 0.04;
+    const LEVELS: Levels = Levels {
+        position_sigma: 1e-3,
+        normal_sigma: 1e-2,
+        tau2: 1.0,
+    };
+
+    fn contacts(of: impl Iterator<Item = (Vec3, Vec3)>) -> Normalised {
+        let (positions, normals): (Vec<Vec3>, Vec<Vec3>) = of.unzip();
+        let count = positions.len();
+        Normalised {
+            positions,
+            normals,
+            relative_sigma: vec![1.0; count],
+            relative_tilt: vec![1.0; count],
+            source: (0..count).collect(),
+        }
+    }
+
+    /// Places foretold for `data`, each with its normal and its uncertainty against that of a contact.
+    fn foretold(data: &Normalised) -> Vec<(Vec3, Vec3, f64)> {
+        let tree = Neighbourhoods::new(data.positions.clone());
+        let all = bridged(data, &tree, &LEVELS, SPACING);
+        (data.positions.len()..all.positions.len())
+            .map(|i| (all.positions[i], all.normals[i], all.relative_sigma[i]))
+            .collect()
+    }
+
+    fn grid(half: i32) -> impl Iterator<Item = (f64, f64)> + Clone {
+        (-half..=half).flat_map(move |i| {
+            (-half..=half).map(move |j| (SPACING * f64::from(i), SPACING * f64::from(j)))
+        })
+    }
+
+    #[test]
+    fn a_gap_in_one_side_of_a_thin_wall_is_filled_on_that_side() {
+        // A bowed wall 0.05 thick, with a hole 0.2 wide in the contacts of its upper side.
+        let height = |x: f64, y: f64| 0.3 * x * x + 0.1 * y * y;
+        let up = |x: f64, y: f64| Vec3::new(-0.6 * x, -0.2 * y, 1.0).normalize();
+        let upper = grid(9).filter(|(x, y)| x.hypot(*y) > 0.1);
+        let upper = upper.map(|(x, y)| (Vec3::new(x, y, height(x, y)), up(x, y)));
+        let lower = grid(9).map(|(x, y)| (Vec3::new(x, y, height(x, y) - 0.05), -up(x, y)));
+        let found = foretold(&contacts(upper.chain(lower)));
+        let hole: Vec<_> = found
+            .iter()
+            .filter(|(x, n, _)| x.xy().norm() < 0.1 && n.z > 0.0)
+            .collect();
+        assert!(hole.len() >= 5, "{}", hole.len());
+        for (x, n, sigma) in &hole {
+            let off = (x.z - height(x.x, x.y)).abs();
+            assert!(
+                off < 2e-3 && off < 3.0 * sigma * LEVELS.position_sigma,
+                "{x:?} {off}"
+            );
+            assert!(n.dot(&up(x.x, x.y)) > 0.995 && *sigma >= 1.0);
+        }
+        let middle = hole.iter().filter(|(x, ..)| x.xy().norm() < 0.06).count();
+        assert!(middle > 0, "the inner rings are missing");
+    }
+
+    #[test]
+    fn the_faces_of_a_thin_bar_do_not_go_on_past_its_edges() {
+        // A bar of square section, 0.12 wide, along y; the last contacts lie 0.03 from its edges.
+        let at = [-0.03, 0.03];
+        let bar = (-15..=15).flat_map(|j| {
+            let y = SPACING * f64::from(j);
+            at.into_iter().flat_map(move |s| {
+                [-1.0, 1.0].into_iter().flat_map(move |side| {
+                    [
+                        (Vec3::new(s, y, 0.06 * side), Vec3::z() * side),
+                        (Vec3::new(0.06 * side, y, s), Vec3::x() * side),
+                    ]
+                })
+            })
+        });
+        for (x, ..) in foretold(&contacts(bar)) {
+            let beyond = x.x.abs().max(x.z.abs()) - 0.06;
+            assert!(beyond < 0.01 || x.y.abs() > 0.6, "{x:?}");
+        }
+    }
+
+    #[test]
+    fn where_no_other_side_is_near_nothing_is_foretold() {
+        let sheet = grid(9).filter(|(x, y)| x.hypot(*y) > 0.1);
+        let sheet = sheet.map(|(x, y)| (Vec3::new(x, y, 0.0), Vec3::z()));
+        assert!(foretold(&contacts(sheet)).is_empty());
+    }
+}
