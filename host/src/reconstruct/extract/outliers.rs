@@ -255,3 +255,46 @@ fn keep_if_few(found: Vec<bool>) -> Vec<bool> {
         found
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exact_neighbours_on_a_bend_confirm_one_another_and_no_contact_off_it() {
+        // A ball of radius 0.15, a contact every 0.024: normals turn by 0.16 from one to the next.
+        let count = 500;
+        let normals: Vec<Vec3> = (0..count)
+            .map(|k| {
+                let z = 1.0 - 2.0 * (f64::from(k) + 0.5) / f64::from(count);
+                let (sin, cos) = (2.399_963 * f64::from(k)).sin_cos();
+                let flat = (1.0 - z * z).sqrt();
+                Vec3::new(flat * cos, flat * sin, z)
+            })
+            .collect();
+        let mut positions: Vec<Vec3> = normals.iter().map(|n| n * 0.15).collect();
+        let moved = 250;
+        positions[moved] *= 1.1;
+        let count = positions.len();
+        let data = Normalised {
+            normals,
+            relative_sigma: vec![1.0; count],
+            relative_tilt: vec![1.0; count],
+            source: (0..count).collect(),
+            positions,
+        };
+        let tree = Neighbourhoods::new(data.positions.clone());
+        let exact = Levels {
+            position_sigma: LEAST_POSITION_SIGMA,
+            normal_sigma: LEAST_NORMAL_SIGMA,
+            tau2: 1.0,
+        };
+        for i in 0..count {
+            assert_eq!(
+                confirmed(&data, &tree, &exact, i),
+                i != moved,
+                "contact {i}"
+            );
+        }
+    }
+}
