@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use super::{
     contacts::Normalised,
     kernel::Kernel,
-    smoothing::{self, Cover, Levels},
+    smoothing::{self, Apart, Cover, Levels},
     try_balls,
 };
 use crate::{Vec3, cloud::Neighbourhoods};
@@ -135,16 +135,12 @@ fn places(data: &Normalised, begin: usize, tree: &Neighbourhoods, spacing: f64) 
             })
         })
         .collect();
-    let mut taken: Vec<Place> = Vec::new();
-    for place in candidates {
-        let near = |other: &Place| {
-            (other.at - place.at).norm() < APART * spacing && other.facing.dot(&place.facing) > SAME
-        };
-        if !taken.iter().any(near) {
-            taken.push(place);
-        }
-    }
-    taken
+    let mut taken = Apart::by(APART * spacing);
+    let apart = |place: &Place| {
+        let same_side = |facing: &Vec3| facing.dot(&place.facing) > SAME;
+        taken.take(&place.at, place.facing, same_side)
+    };
+    candidates.into_iter().filter(apart).collect()
 }
 
 /// The ball of contacts that a place is foretold from; `None` without enough of them, or without another side as near.

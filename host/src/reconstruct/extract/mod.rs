@@ -4,7 +4,7 @@
 //! 2. Noise of positions and normals and the smoothness of the surface are estimated from the rest.
 //! 3. The field is built: by default a partition of unity of local Gaussian-process fits to positions and normals
 //!    ([`Method::Hermite`]); the paper's distance to averaged tangent planes can be had instead
-//!    ([`Method::TangentPlanes`]).
+//!    ([`Method::TangentPlanes`]). In gaps of thin walls it is helped by places that each side foretells for itself.
 //! 4. Marching cubes follow the zero set outward from the contacts, and every vertex is moved onto it.
 //! 5. Holes of the data are closed or become clean borders ([`Extracted::holes`]).
 //!

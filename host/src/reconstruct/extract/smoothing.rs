@@ -142,28 +142,46 @@ pub(super) fn gap_covers(
             })
         })
         .collect();
-    let mut taken: HashMap<[i32; 3], Vec<Vec3>> = HashMap::new();
-    let apart = 1.8 * spacing;
-    let mut balls = Vec::new();
-    for x in candidates {
-        let cell: [i32; 3] = std::array::from_fn(|a| (x[a] / apart).floor() as i32);
+    let mut taken = Apart::by(1.8 * spacing);
+    candidates
+        .into_iter()
+        .filter(|x| taken.take(x, (), |()| true))
+        .map(|x| Cover::around(x, tree, k))
+        .collect()
+}
+
+/// Places that keep a distance from one another, with something known of each.
+pub(super) struct Apart<T> {
+    distance: f64,
+    taken: HashMap<[i32; 3], Vec<(Vec3, T)>>,
+}
+
+impl<T> Apart<T> {
+    /// None yet; they will be `distance` apart.
+    pub(super) fn by(distance: f64) -> Self {
+        Self {
+            distance,
+            taken: HashMap::new(),
+        }
+    }
+
+    /// Takes `x` if no place that `clashes` is nearer; says whether it did.
+    pub(super) fn take(&mut self, x: &Vec3, known: T, clashes: impl Fn(&T) -> bool) -> bool {
+        let cell: [i32; 3] = std::array::from_fn(|a| (x[a] / self.distance).floor() as i32);
         let near = (0..27).any(|n| {
             let other = [
                 cell[0] + n % 3 - 1,
                 cell[1] + n / 3 % 3 - 1,
                 cell[2] + n / 9 - 1,
             ];
-            taken
-                .get(&other)
-                .is_some_and(|t| t.iter().any(|y| (x - y).norm() < apart))
+            let near = |(y, t): &(Vec3, T)| (x - y).norm() < self.distance && clashes(t);
+            self.taken.get(&other).is_some_and(|t| t.iter().any(near))
         });
-        if near {
-            continue;
+        if !near {
+            self.taken.entry(cell).or_default().push((*x, known));
         }
-        taken.entry(cell).or_default().push(x);
-        balls.push(Cover::around(x, tree, k));
+        !near
     }
-    balls
 }
 
 /// Contacts of the coarse field: farthest-point samples of the whole cloud.
