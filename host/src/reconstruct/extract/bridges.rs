@@ -183,8 +183,9 @@ fn foot(start: &Vec3, jet: impl Fn(&Vec3) -> (f64, Vec3)) -> Option<(Vec3, Vec3)
 /// Whether the contacts around could lie on one surface with the place `at` and its `normal`.
 ///
 /// Those of other sides have to see it as they see the contact beside it: behind them, through a wall, or before them, across
-/// a slot. Those that face across must not lie behind its plane while it lies before theirs: so lies a face that is carried
-/// on past its edge into the air.
+/// a slot; and some of them have to go on past it: where the other side ends, at a lip, so may this one (a lip of 0.025 with
+/// none on it was carried on by 0.03, and the patches there shrank to nothing). Those that face across must not lie behind
+/// its plane while it lies before theirs: so lies a face that is carried on past its edge into the air.
 fn on_its_side(
     at: &Vec3,
     normal: &Vec3,
@@ -193,11 +194,13 @@ fn on_its_side(
     spacing: f64,
 ) -> bool {
     let (data, tree) = contacts;
-    tree.nearest(at, WITNESSES).into_iter().all(|(j, d2)| {
+    let mut goes_on = false;
+    let fits = tree.nearest(at, WITNESSES).into_iter().all(|(j, d2)| {
         let (p, n) = (data.positions[j], data.normals[j]);
         let facing = n.dot(&place.facing);
         let height = |x: &Vec3| (x - p).dot(&n);
         if facing < OPPOSITE {
+            goes_on |= (p - at).dot(&(at - place.beside)) > 0.0;
             height(at) * height(&place.beside) > 0.0
         } else if facing < SAME && d2 < (ACROSS * spacing).powi(2) {
             let level = LEVEL * spacing;
@@ -205,7 +208,8 @@ fn on_its_side(
         } else {
             true
         }
-    })
+    });
+    fits && goes_on
 }
 
 #[cfg(test)]
