@@ -173,7 +173,31 @@ impl DefmtLog {
     }
 }
 
-/// Reads the first channel of the RTT control block: 24 bytes of header, then name, buffer, size, write and read positions.
+/// What the first channel of the RTT control block holds unread, and marks it read; empty before the board has started. The block is 24 bytes
+/// of header, then name, buffer, size, write and read positions.
+///
+/// The board runs on between these looks, and its start-up fills the block. The write position is read first: once it is no zero, the rest is
+/// there. Read after an address that still was zero, it would have the first lines read out of the flash.
+fn unread(memory: &mut Memory, block: u64) -> io::Result<Vec<u8>> {
+    let write = memory.word(block + 36)? as usize;
+    let read = memory.word(block + 40)? as usize;
+    let size = memory.word(block + 32)? as usize;
+    let buffer = u64::from(memory.word(block + 28)?);
+    if write == read || write.max(read) >= size {
+        return Ok(Vec::new());
+    }
+    let bytes = if write > read {
+        memory.bytes(buffer + read as u64, write - read)?
+    } else {
+        let mut bytes = memory.bytes(buffer + read as u64, size - read)?;
+        bytes.extend(memory.bytes(buffer, write)?);
+        bytes
+    };
+    memory.set_word(block + 40, write as u32)?;
+    Ok(bytes)
+}
+
+/// Decodes what the board logs until it is told to stop, and what is left then.
 fn collect(
     table: &Table,
     block: u64,
@@ -184,58 +208,85 @@ fn collect(
     let mut decoder = table.new_stream_decoder();
     loop {
         let last = stop.load(Ordering::Relaxed);
-        let buffer = u64::from(memory.word(block + 28)?);
-        let size = memory.word(block + 32)? as usize;
-        let write = memory.word(block + 36)? as usize;
-        let read = memory.word(block + 40)? as usize;
-        // Before the board has started, the block is empty.
-        if size > 0 && write < size && read < size && write != read {
-            let bytes = if write > read {
-                memory.bytes(buffer + read as u64, write - read)?
-            } else {
-                let mut bytes = memory.bytes(buffer + read as u64, size - read)?;
-                bytes.extend(memory.bytes(buffer, write)?);
-                bytes
+        decoder.received(&unread(&mut memory, block)?);
+        loop {
+            let line = match decoder.decode() {
+                Ok(frame) => LogLine {
+                    timestamp: frame
+                        .display_timestamp()
+                        .map(|time| time.to_string())
+                        .unwrap_or_default(),
+                    level: frame
+                        .level()
+                        .map(|level| level.as_str().to_owned())
+                        .unwrap_or_default(),
+                    message: frame.display_message().to_string(),
+                },
+                Err(DecodeError::UnexpectedEof) => break,
+                Err(DecodeError::Malformed) => LogLine {
+                    timestamp: String::new(),
+                    level: "malformed".to_owned(),
+                    message: String::new(),
+                },
             };
-            memory.set_word(block + 40, write as u32)?;
-            decoder.received(&bytes);
-            loop {
-                match decoder.decode() {
-                    Ok(frame) => {
-                        let line = LogLine {
-                            timestamp: frame
-                                .display_timestamp()
-                                .map(|time| time.to_string())
-                                .unwrap_or_default(),
-                            level: frame
-                                .level()
-                                .map(|level| level.as_str().to_owned())
-                                .unwrap_or_default(),
-                            message: frame.display_message().to_string(),
-                        };
-                        lines
-                            .lock()
-                            .unwrap_or_else(PoisonError::into_inner)
-                            .push(line);
-                    }
-                    Err(DecodeError::UnexpectedEof) => break,
-                    Err(DecodeError::Malformed) => {
-                        let line = LogLine {
-                            timestamp: String::new(),
-                            level: "malformed".to_owned(),
-                            message: String::new(),
-                        };
-                        lines
-                            .lock()
-                            .unwrap_or_else(PoisonError::into_inner)
-                            .push(line);
-                    }
-                }
-            }
+            lines
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(line);
         }
         if last {
             return Ok(memory);
         }
         std::thread::sleep(POLL);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BLOCK: u64 = 0x2000_0000;
+    const BUFFER: u64 = 0x2000_0100;
+
+    /// An emulator whose board fills the block, and logs "lines", once it has answered so many questions; all else it reads as zero, as the
+    /// memory before the start is, and the flash as 0xff.
+    fn starting_after(answers: usize) -> Memory {
+        let (ours, theirs) = UnixStream::pair().expect("sockets");
+        std::thread::spawn(move || {
+            let mut writer = theirs.try_clone().expect("a socket");
+            for (number, question) in BufReader::new(theirs).lines().enumerate() {
+                let question = question.expect("a question");
+                let words: Vec<&str> = question.split_whitespace().collect();
+                let address =
+                    u64::from_str_radix(words[1].trim_start_matches("0x"), 16).expect("an address");
+                let word = match address {
+                    _ if number < answers => 0,
+                    address if address == BLOCK + 28 => BUFFER,
+                    address if address == BLOCK + 32 => 1024,
+                    address if address == BLOCK + 36 => 5,
+                    _ => 0,
+                };
+                let answer = match words[0] {
+                    "readl" => format!("OK {word:#018x}"),
+                    "read" if address == BUFFER => "OK 0x6c696e6573".to_owned(),
+                    "read" => "OK 0xffffffffff".to_owned(),
+                    _ => "OK".to_owned(),
+                };
+                writeln!(writer, "{answer}").expect("an answer");
+            }
+        });
+        Memory::new(ours)
+    }
+
+    #[test]
+    fn the_first_lines_survive_a_look_during_the_start() {
+        for answers in 0..8 {
+            let mut memory = starting_after(answers);
+            let looks: Vec<u8> = (0..8)
+                .map(|_| unread(&mut memory, BLOCK).expect("an answer"))
+                .find(|bytes| !bytes.is_empty())
+                .expect("the lines");
+            assert_eq!(looks, b"lines", "the board started after {answers} answers");
+        }
     }
 }
