@@ -253,8 +253,9 @@ const ACCURACY_OF_NOISE: f64 = 0.3;
 const TOLERANCE_OF_NOISE: f64 = 3.0;
 /// Accuracy, relative to the size, beyond which the base mesh is made no finer.
 const LEAST_ACCURACY: f64 = 1e-4;
-/// Weight of the points of borders and creases relative to a measured point.
-const LINE_WEIGHT: f64 = 1.0;
+/// Weight of the points of borders and creases relative to a measured point: where sheets meet is known from all of their
+/// contacts. With 1 the corners of noisy cubes and cylinders' rims are drawn up to twice as far off (4.8e-3 of the diagonal).
+const LINE_WEIGHT: f64 = 10.0;
 /// A sample of the extracted surface counts (this * sigma of a contact / the field's own sigma)^2 of a measured
 /// point, at most 1. With 1 everywhere the mug's gaps follow the field's swings (rms 2.5e-3 of the diagonal); at 0.3
 /// the third derivatives of the patches bridge them better (1.4e-3). Below 0.3 the smooth shapes with 374 points lose.
@@ -712,9 +713,8 @@ fn find_creases(
     outliers.extend(again.outliers.iter().map(|i| kept[*i]));
     outliers.sort_unstable();
     let extracted = Extracted { outliers, ..again };
-    let field = &extracted.field;
     let creased = sheets
-        .cut(&extracted.mesh, |x| field.sheet(x), &field.sharp())
+        .cut(&extracted.mesh, Some(&extracted.field))
         .map_err(SimplifyError::from)?;
     Ok((extracted, creased, None))
 }

@@ -7,6 +7,7 @@ mod driver;
 pub mod extract;
 pub mod fit;
 pub mod frame;
+mod quadric;
 pub mod refine;
 mod repeats;
 pub mod simplify;

@@ -2,9 +2,11 @@
 
 use super::Creased;
 use super::regions::{Regions, SHEET_POINTS};
-use super::sheet::{Sheet, meet};
+use super::sheet::{Piece, Sheet, meet};
 use crate::Vec3;
 use crate::mesh::{HalfEdgeMesh, MeshError, NONE, TriangleMesh};
+use crate::reconstruct::extract::Field;
+use crate::reconstruct::quadric::Quadric;
 use crate::reconstruct::simplify::CreaseLines;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -20,14 +22,17 @@ pub(super) struct Cutting<'a, 'b> {
     regions: &'a Regions<'b>,
     /// Pairs of sheets that break, sorted.
     sharp: &'a [[u32; 2]],
+    /// The planes and quadrics that are all of a sheet.
+    whole: BTreeMap<u32, Quadric>,
     pub(super) mesh: HalfEdgeMesh,
     /// Per vertex, the sheets it belongs to: one, two on a crease, three and more in a corner.
     pub(super) sheets: Vec<Vec<u32>>,
     /// Per vertex near a crease, its sheets there with their normals; empty elsewhere.
-    pub(super) near: Vec<Vec<(u32, Sheet, Vec3)>>,
+    pub(super) near: Vec<Vec<(u32, Piece, Vec3)>>,
 }
 
-/// Cuts `mesh` between the `sharp` pairs (sorted) of the sheets of `regions`; `known` tells the sheet of a place on it.
+/// Cuts `mesh` between the `sharp` pairs (sorted) of the sheets of `regions`; the `field` it was extracted from tells the sheet of a place on it and
+/// which sheets are one plane or quadric.
 ///
 /// Two ways were weighed to tell the sheet of a vertex: to ask the points near by, which know nothing of a sheet that no track
 /// follows up to its edge (half a block's end, 0.25 of its length without a touch, was cut as the side beside it), and to
@@ -36,7 +41,7 @@ pub(super) fn cut(
     regions: &Regions<'_>,
     sharp: &[[u32; 2]],
     mesh: &TriangleMesh,
-    known: impl Fn(&Vec3) -> Option<u32> + Sync,
+    field: Option<&Field>,
     turn_min: f64,
 ) -> Result<Creased, MeshError> {
     let half = HalfEdgeMesh::new(mesh)?;
@@ -48,8 +53,12 @@ pub(super) fn cut(
             .into_par_iter()
             .map(|v| {
                 let p = half.position(v as u32);
-                vec![known(&p).unwrap_or_else(|| owner(regions, &p, &normals[v]))]
+                let known = field.and_then(|f| f.sheet(&p));
+                vec![known.unwrap_or_else(|| owner(regions, &p, &normals[v]))]
             })
+            .collect(),
+        whole: (regions.names().into_iter())
+            .filter_map(|l| Some((l, field?.whole_sheet(l)?)))
             .collect(),
         mesh: half,
         near: Vec::new(),
@@ -190,9 +199,8 @@ impl Cutting<'_, '_> {
             let (p, q) = (self.mesh.position(v), self.mesh.position(w));
             let middle = (p + q) * 0.5;
             let at = self
-                .regions
-                .sheet(a, &middle, SHEET_POINTS)
-                .zip(self.regions.sheet(b, &middle, SHEET_POINTS))
+                .near_by(a, &middle)
+                .zip(self.near_by(b, &middle))
                 .map_or(0.5, |(a, b)| {
                     // Where both sheets are equally far, between the ends.
                     let (s, t) = (
@@ -248,22 +256,41 @@ impl Cutting<'_, '_> {
         }
     }
 
-    /// The nearest point to `p` on all sheets of vertex `v`.
+    /// All of a sheet where one plane or quadric is, or what its points near `at` show.
+    fn near_by(&self, label: u32, at: &Vec3) -> Option<Piece> {
+        let whole = self.whole.get(&label).copied().map(Piece::Whole);
+        whole.or_else(|| Some(Piece::Near(self.regions.sheet(label, at, SHEET_POINTS)?)))
+    }
+
+    /// The same from as many points as one height field explains.
+    fn far_off(&self, label: u32, at: &Vec3) -> Option<Piece> {
+        let whole = self.whole.get(&label).copied().map(Piece::Whole);
+        whole.or_else(|| Some(Piece::Near(self.regions.wide_sheet(label, at)?)))
+    }
+
+    /// The nearest point to `p` on all sheets of vertex `v`. Of sheets that do not break with one another (pieces of one face)
+    /// the first counts: they meet anywhere.
     pub(super) fn on_sheets(&self, v: u32, p: &Vec3) -> Option<Vec3> {
         let known = self.near.get(v as usize).filter(|list| !list.is_empty());
-        let sheets: Vec<Sheet> = match known {
-            Some(list) => list.iter().map(|(_, sheet, _)| *sheet).take(3).collect(),
-            None => self.sheets[v as usize]
-                .iter()
-                .filter_map(|l| self.regions.wide_sheet(*l, p))
-                .take(3)
-                .collect(),
-        };
-        let all: Vec<&Sheet> = sheets.iter().collect();
-        if all.is_empty() {
+        let mut labels: Vec<u32> = Vec::new();
+        let mut pieces = Vec::new();
+        for &label in &self.sheets[v as usize] {
+            if pieces.len() == 3 || !labels.iter().all(|l| self.broken(*l, label)) {
+                continue;
+            }
+            let piece = match known {
+                Some(list) => list.iter().find(|(l, _, _)| *l == label).map(|n| n.1),
+                None => self.far_off(label, p),
+            };
+            if let Some(piece) = piece {
+                labels.push(label);
+                pieces.push(piece);
+            }
+        }
+        if pieces.is_empty() {
             return None;
         }
-        meet(&all, p, ROUNDED * self.regions.spacing)
+        meet(&pieces, p, ROUNDED * self.regions.spacing)
     }
 
     /// Puts crease vertices and corners where their sheets meet, and the rounded strip beside them back
@@ -304,7 +331,7 @@ impl Cutting<'_, '_> {
             }
             let p = self.mesh.position(v);
             for l in self.sheets[v as usize].clone() {
-                let Some(sheet) = self.regions.wide_sheet(l, &p) else {
+                let Some(sheet) = self.far_off(l, &p) else {
                     continue;
                 };
                 self.near[v as usize].push((l, sheet, sheet.normal(&p)));
@@ -334,7 +361,7 @@ impl Cutting<'_, '_> {
                 continue;
             };
             let middle = (self.mesh.position(v) + self.mesh.position(w)) * 0.5;
-            let sheets = [*a, *b].map(|l| self.regions.sheet(l, &middle, SHEET_POINTS));
+            let sheets = [*a, *b].map(|l| self.near_by(l, &middle));
             let [Some(a), Some(b)] = sheets else {
                 continue;
             };

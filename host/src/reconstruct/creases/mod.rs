@@ -18,6 +18,7 @@ mod regions;
 mod sheet;
 mod tidy;
 
+use super::extract::Field;
 use super::simplify::CreaseLines;
 use crate::Vec3;
 use crate::cloud::Cloud;
@@ -86,18 +87,13 @@ impl<'a> Sheets<'a> {
         self.regions.as_ref().map_or(&[], |r| &r.sharp)
     }
 
-    /// Cuts `mesh`, which was extracted from the same points, along the lines where the surface breaks. `known` tells the
-    /// sheet of a place on it; where it does not, the points near by do. `further` are pairs of sheets (the lower first)
-    /// that break besides [`Self::sharp`].
+    /// Cuts `mesh`, which was extracted from the same points, along the lines where the surface breaks. The `field` that it was
+    /// extracted from tells the sheet of a place on it, which sheets are one plane or quadric, and which break besides
+    /// [`Self::sharp`]; without, the points near by have to do.
     ///
     /// # Errors
     /// When `mesh` is no oriented manifold.
-    pub fn cut(
-        &self,
-        mesh: &TriangleMesh,
-        known: impl Fn(&Vec3) -> Option<u32> + Sync,
-        further: &[[u32; 2]],
-    ) -> Result<Creased, MeshError> {
+    pub fn cut(&self, mesh: &TriangleMesh, field: Option<&Field>) -> Result<Creased, MeshError> {
         let plain = || Creased {
             mesh: mesh.clone(),
             ..Creased::default()
@@ -105,19 +101,16 @@ impl<'a> Sheets<'a> {
         let Some(regions) = &self.regions else {
             return Ok(plain());
         };
-        let mut labels: Vec<u32> = regions.label.clone();
-        labels.retain(|l| *l != crate::mesh::NONE);
-        labels.sort_unstable();
-        labels.dedup();
         let mut out = if regions.sharp.is_empty() {
             plain()
         } else {
-            let mut sharp = [regions.sharp.as_slice(), further].concat();
+            let mut sharp = regions.sharp.clone();
+            sharp.extend(field.map_or_else(Vec::new, Field::sharp));
             sharp.sort_unstable();
             sharp.dedup();
-            cut::cut(regions, &sharp, mesh, known, self.turn_min)?
+            cut::cut(regions, &sharp, mesh, field, self.turn_min)?
         };
-        out.sheets = labels.len();
+        out.sheets = regions.names().len();
         out.scatter = Some(regions.scatter);
         Ok(out)
     }

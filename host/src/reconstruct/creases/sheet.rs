@@ -1,8 +1,10 @@
-//! A smooth sheet near one place: a plane or a quadric through points and normals together.
+//! A smooth sheet near one place: a height field of degree 1 or 2 through points and normals together; or the one plane or
+//! quadric that is all of it.
 
 use crate::Vec3;
 use crate::cloud::OrientedPoint;
 use crate::mesh::unit_or_zero;
+use crate::reconstruct::quadric::Quadric;
 use nalgebra::{SMatrix, SVector};
 
 /// How far the measurements scatter.
@@ -165,9 +167,36 @@ impl Sheet {
     }
 }
 
+/// What is known of a sheet at a place.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Piece {
+    /// The sheet through the points near by.
+    Near(Sheet),
+    /// All of the sheet.
+    Whole(Quadric),
+}
+
+impl Piece {
+    /// Signed distance of `p` to the sheet (to first order), positive outside.
+    pub(super) fn distance(&self, p: &Vec3) -> f64 {
+        match self {
+            Self::Near(sheet) => sheet.distance(p),
+            Self::Whole(quadric) => quadric.value(p) / quadric.gradient(p).norm(),
+        }
+    }
+
+    /// Unit normal of the sheet next to `p`.
+    pub(super) fn normal(&self, p: &Vec3) -> Vec3 {
+        match self {
+            Self::Near(sheet) => sheet.normal(p),
+            Self::Whole(quadric) => unit_or_zero(quadric.gradient(p)),
+        }
+    }
+}
+
 /// The point nearest to `p` on all of one to three sheets, by Newton's steps of least length; `None` if
 /// they do not meet within `reach` of `p`.
-pub(super) fn meet(sheets: &[&Sheet], p: &Vec3, reach: f64) -> Option<Vec3> {
+pub(super) fn meet(sheets: &[Piece], p: &Vec3, reach: f64) -> Option<Vec3> {
     let mut x = *p;
     for _ in 0..8 {
         // Least step with n_i . step = -distance_i: the normals' combination N^T (N N^T)^-1 d.
@@ -258,7 +287,7 @@ mod tests {
 
     #[test]
     fn three_planes_meet_in_their_corner() {
-        let sheets: Vec<Sheet> = (0..3)
+        let sheets: Vec<Piece> = (0..3)
             .map(|k| {
                 let mut n = Vec3::zeros();
                 n[k] = 1.0;
@@ -271,14 +300,13 @@ mod tests {
                         point(p, n)
                     })
                     .collect();
-                Sheet::through(&points, &Vec3::repeat(0.4), 0.5, &FINE).unwrap()
+                Piece::Near(Sheet::through(&points, &Vec3::repeat(0.4), 0.5, &FINE).unwrap())
             })
             .collect();
-        let all: Vec<&Sheet> = sheets.iter().collect();
-        let corner = meet(&all, &Vec3::repeat(0.4), 1.0).unwrap();
+        let corner = meet(&sheets, &Vec3::repeat(0.4), 1.0).unwrap();
         assert!((corner - Vec3::repeat(0.5)).norm() < 1e-9);
-        assert!(meet(&all, &Vec3::repeat(0.4), 0.01).is_none());
-        let edge = meet(&all[..2], &Vec3::new(0.45, 0.4, 0.1), 1.0).unwrap();
+        assert!(meet(&sheets, &Vec3::repeat(0.4), 0.01).is_none());
+        let edge = meet(&sheets[..2], &Vec3::new(0.45, 0.4, 0.1), 1.0).unwrap();
         assert!((edge - Vec3::new(0.5, 0.5, 0.1)).norm() < 1e-9);
     }
 }

@@ -69,7 +69,7 @@ fn off_edge(p: &Vec3, a: f64) -> f64 {
 fn the_twelve_edges_of_a_noisy_cube_are_found_and_placed() {
     let a = 0.4;
     let found = Sheets::of(&cube_points(1229, a), &CreaseOptions::default())
-        .cut(&rounded_cube(a, 0.06), |_| None, &[])
+        .cut(&rounded_cube(a, 0.06), None)
         .unwrap();
     assert_eq!(found.sheets, 6);
     let half = HalfEdgeMesh::new(&found.mesh).unwrap();
@@ -115,9 +115,43 @@ fn an_edge_that_hardly_any_point_comes_near_is_an_edge() {
 }
 
 #[test]
-fn the_two_rims_of_a_noisy_cylinder_are_found() {
+fn a_face_that_a_gap_parts_is_one_sheet() {
+    let a = 0.4;
+    let mut cloud = cube_points(1229, a);
+    // Seven spacings wide, all across the face.
+    cloud
+        .points
+        .retain(|p| p.normal.x < 0.9 || p.position.y.abs() > 0.16);
+    let sheets = Sheets::of(&cloud, &CreaseOptions::default());
+    let face = |side: f64| {
+        let mut labels: Vec<u32> = (cloud.points.iter().zip(sheets.labels()))
+            .filter(|(p, _)| p.normal.x > 0.9 && side * p.position.y > 0.2)
+            .map(|(_, label)| *label)
+            .collect();
+        labels.sort_unstable();
+        labels.dedup();
+        labels
+    };
+    assert_eq!(face(1.0).len(), 1);
+    assert_eq!(face(1.0), face(-1.0));
+    assert_eq!(sheets.sharp().len(), 12);
+    // A step of two standard deviations is none.
+    for p in &mut cloud.points {
+        if p.normal.x > 0.9 && p.position.y > 0.0 {
+            p.position.x += 2.0 * SIGMA;
+        }
+    }
+    let sheets = Sheets::of(&cloud, &CreaseOptions::default());
+    let mut labels = sheets.labels().to_vec();
+    labels.retain(|l| *l != crate::mesh::NONE);
+    labels.sort_unstable();
+    labels.dedup();
+    assert_eq!(labels.len(), 7);
+}
+
+/// Points of a cylinder from z = 0 to its height, a quarter of them on its lids.
+fn cylinder_points(radius: f64, height: f64) -> Cloud {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
-    let (radius, height) = (0.3, 0.8);
     let mut cloud = Cloud::default();
     for i in 0..1229 {
         let angle = rng.random_range(0.0..std::f64::consts::TAU);
@@ -137,6 +171,52 @@ fn the_two_rims_of_a_noisy_cylinder_are_found() {
                 .push(noisy(Vec3::new(radius * c, radius * s, z), n, &mut rng));
         }
     }
+    cloud
+}
+
+/// Mean and largest distance of the crease edges from the rims, against the diagonal, and their length against that of both.
+fn off_rims(found: &Creased, radius: f64, height: f64) -> (f64, f64, f64) {
+    let diagonal = (8.0 * radius * radius + height * height).sqrt();
+    let mut length = 0.0;
+    let mut off = Vec::new();
+    for &[v, w] in &found.lines.edges {
+        let [p, q] = [v, w].map(|v| found.mesh.positions[v as usize]);
+        length += (p - q).norm();
+        let off_z = p.z.abs().min((p.z - height).abs());
+        off.push((p.x.hypot(p.y) - radius).hypot(off_z) / diagonal);
+    }
+    let mean = off.iter().sum::<f64>() / off.len() as f64;
+    let most = off.iter().copied().fold(0.0, f64::max);
+    (mean, most, length / (2.0 * std::f64::consts::TAU * radius))
+}
+
+#[test]
+fn the_rims_of_a_noisy_cylinder_are_true_where_its_field_knows_it_for_one() {
+    let (radius, height) = (0.3, 0.8);
+    let cloud = cylinder_points(radius, height);
+    let sheets = Sheets::of(&cloud, &CreaseOptions::default());
+    let noise = crate::reconstruct::extract::NoiseEstimate {
+        position_sigma: SIGMA,
+        normal_sigma: SIGMA_NORMAL,
+    };
+    let extracted = crate::reconstruct::extract::extract_sheets(
+        &cloud,
+        &Default::default(),
+        sheets.labels(),
+        sheets.sharp(),
+        &noise,
+    )
+    .unwrap();
+    let found = sheets.cut(&extracted.mesh, Some(&extracted.field)).unwrap();
+    let (mean, most, length) = off_rims(&found, radius, height);
+    assert!(mean < 1e-3 && most < 2e-3, "mean {mean}, largest {most}");
+    assert!((length - 1.0).abs() < 0.02, "{length}");
+}
+
+#[test]
+fn the_two_rims_of_a_noisy_cylinder_are_found() {
+    let (radius, height) = (0.3, 0.8);
+    let cloud = cylinder_points(radius, height);
     // The dense mesh: the cylinder with rounded rims, as a surface of revolution over a sphere.
     let mut mesh = shapes::icosphere(4);
     let rounding = 0.05;
@@ -158,27 +238,13 @@ fn the_two_rims_of_a_noisy_cylinder_are_found() {
         *p = Vec3::new(p.x * around, p.y * around, nz + 0.5 * height);
     }
     let found = Sheets::of(&cloud, &CreaseOptions::default())
-        .cut(&mesh, |_| None, &[])
+        .cut(&mesh, None)
         .unwrap();
     assert_eq!(found.sheets, 3);
-    let diagonal = (8.0 * radius * radius + height * height).sqrt();
-    let mut length = 0.0;
-    let mut off = Vec::new();
-    for &[v, w] in &found.lines.edges {
-        let [p, q] = [v, w].map(|v| found.mesh.positions[v as usize]);
-        length += (p - q).norm();
-        let off_z = p.z.abs().min((p.z - height).abs());
-        off.push((p.x.hypot(p.y) - radius).hypot(off_z) / diagonal);
-    }
     // The side is curved: its sheets reach less far than a cube's and the noise shows more.
-    let mean = off.iter().sum::<f64>() / off.len() as f64;
-    let most = off.iter().copied().fold(0.0, f64::max);
+    let (mean, most, length) = off_rims(&found, radius, height);
     assert!(mean < 2.5e-3 && most < 5e-3, "mean {mean}, largest {most}");
-    let rims = 2.0 * std::f64::consts::TAU * radius;
-    assert!(
-        (length / rims - 1.0).abs() < 0.05,
-        "{length} against {rims}"
-    );
+    assert!((length - 1.0).abs() < 0.05, "{length}");
 }
 
 #[test]
@@ -197,7 +263,7 @@ fn smooth_shapes_have_no_creases() {
                 .push(noisy(s.position, n.normalize(), &mut rng));
         }
         let found = Sheets::of(&cloud, &CreaseOptions::default())
-            .cut(&dense, |_| None, &[])
+            .cut(&dense, None)
             .unwrap();
         assert!(found.lines.edges.is_empty());
         assert_eq!(found.mesh, dense);
@@ -211,15 +277,12 @@ fn bad_input_is_no_panic() {
     cloud.points[7].position.x = f64::NAN;
     let options = CreaseOptions::default();
     assert_eq!(
-        Sheets::of(&cloud, &options)
-            .cut(&mesh, |_| None, &[])
-            .unwrap()
-            .mesh,
+        Sheets::of(&cloud, &options).cut(&mesh, None).unwrap().mesh,
         mesh
     );
     assert!(
         Sheets::of(&Cloud::default(), &options)
-            .cut(&mesh, |_| None, &[])
+            .cut(&mesh, None)
             .unwrap()
             .lines
             .edges
@@ -229,9 +292,5 @@ fn bad_input_is_no_panic() {
         points: vec![cloud.points[0]; 50],
         ..Cloud::default()
     };
-    assert!(
-        Sheets::of(&same, &options)
-            .cut(&mesh, |_| None, &[])
-            .is_ok()
-    );
+    assert!(Sheets::of(&same, &options).cut(&mesh, None).is_ok());
 }

@@ -10,7 +10,7 @@ use super::{
     contacts::Frame, local_fit::LocalField, planes::TangentPlanes, sheets::SheetField,
     smoothing::Levels,
 };
-use crate::{Vec3, cloud::Neighbourhoods};
+use crate::{Vec3, cloud::Neighbourhoods, reconstruct::quadric::Quadric};
 
 /// The field whose zero set is the surface, in the unit of the input; negative inside.
 #[derive(Clone, Debug)]
@@ -91,6 +91,19 @@ impl Field {
     pub fn sheet(&self, x: &Vec3) -> Option<u32> {
         match &self.shape {
             Shape::Sheets(sheets) => sheets.label(&self.frame.inward(x)),
+            Shape::Blended(_) | Shape::Planes(_) => None,
+        }
+    }
+
+    /// The plane or quadric that stands for the whole smooth sheet of this label, in the unit of the input; `None` of sheets that
+    /// are neither, and of a field without sheets.
+    pub(in crate::reconstruct) fn whole_sheet(&self, label: u32) -> Option<Quadric> {
+        match &self.shape {
+            Shape::Sheets(sheets) => Some(
+                sheets
+                    .whole(label)?
+                    .moved(self.frame.scale, &self.frame.origin),
+            ),
             Shape::Blended(_) | Shape::Planes(_) => None,
         }
     }

@@ -632,10 +632,14 @@ impl Fits {
         }
     }
 
+    /// The fits that were found.
+    fn balls(&self) -> impl Iterator<Item = &Ball> {
+        self.groups.iter().flat_map(|g| &g.balls).flatten()
+    }
+
     /// Blends the fits and the coarse field.
     fn blend(&self) -> Result<BlendedField, ExtractError> {
-        let balls = self.groups.iter().flat_map(|g| &g.balls).flatten();
-        let balls: Vec<Ball> = balls.cloned().collect();
+        let balls: Vec<Ball> = self.balls().cloned().collect();
         if balls.is_empty() {
             return Err(ExtractError::NoSurface);
         }

@@ -44,7 +44,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             method: Method::Hermite(Kernel::Septic),
-            neighbours: 60,
+            neighbours: 80,
             spacing: None,
             max_gap: None,
             max_memory: 2 << 30,

@@ -18,7 +18,7 @@
 //! 2. `relax`: flips towards valence 6, tangential smoothing, reprojection; long edges split, short ones
 //!    collapsed.
 //! 3. `optimize`: Hoppe's energy decides over further collapses, splits and flips ([`energy`]).
-//! 4. `relax` once more, so that the vertices end on the surface.
+//! 4. `relax` once more, so that the vertices end on the surface; then faces with two edges of one smooth line are opened.
 //!
 //! Two orders were weighed: Hoppe's own, whose energy drives every one of the thousands of collapses
 //! (minutes in 1993, and its piecewise linear surface cares neither for valence nor for angles), and
@@ -194,6 +194,7 @@ pub fn simplify(
         relax::relax(&mut work, 4);
     }
     relax::mend_valences(&mut work);
+    relax::open_ears(&mut work);
     Ok(work.finish(energies))
 }
 

@@ -5,7 +5,7 @@
 use super::decimate::collapse_best;
 use super::work::{Candidate, Work};
 use crate::Vec3;
-use crate::mesh::Freedom;
+use crate::mesh::{Freedom, HalfEdgeMesh};
 
 /// Edges stretched beyond this are split. 4/3 is where halving brings the length nearer to 1.
 const SPLIT_ABOVE: f64 = 1.5;
@@ -279,11 +279,7 @@ fn flip_if(work: &mut Work<'_>, h: u32, least: f64) -> bool {
 
 fn mend_low(work: &mut Work<'_>, v: u32) {
     // An edge opposite to `v`, flipped, ends at `v`.
-    let opposite: Vec<u32> = work
-        .mesh
-        .around(v)
-        .map(crate::mesh::HalfEdgeMesh::next)
-        .collect();
+    let opposite: Vec<u32> = work.mesh.around(v).map(HalfEdgeMesh::next).collect();
     if opposite.into_iter().any(|h| flip_if(work, h, 0.25)) {
         return;
     }
@@ -316,7 +312,7 @@ fn mend_high(work: &mut Work<'_>, v: u32) {
         let around: Vec<u32> = work.mesh.around(m).collect();
         for g in around {
             // Edges of `v` next to the split one, flipped away from `v`.
-            let side = crate::mesh::HalfEdgeMesh::next(g);
+            let side = HalfEdgeMesh::next(g);
             if work.mesh.is_live(side)
                 && (work.mesh.origin(side) == v || work.mesh.destination(side) == v)
             {
@@ -324,4 +320,64 @@ fn mend_high(work: &mut Work<'_>, v: u32) {
             }
         }
     }
+}
+
+/// Opens ears: faces with two edges of one smooth line. The patch there would have a corner of 180 degrees, in which its
+/// Jacobian is 0. The edge opposite to that corner is flipped, or split where a flip would leave poor faces or another ear.
+pub(super) fn open_ears(work: &mut Work<'_>) {
+    // A face with three edges of lines takes three rounds.
+    for _ in 0..3 {
+        let ears: Vec<u32> = (0..3 * work.mesh.face_slots() as u32)
+            .filter(|h| work.mesh.is_live(*h) && is_ear(work, *h))
+            .collect();
+        if ears.is_empty() {
+            return;
+        }
+        let mut middles = Vec::new();
+        for h in ears {
+            if work.mesh.is_live(h) && is_ear(work, h) && !flip_open(work, h) {
+                middles.extend(work.split(HalfEdgeMesh::next(h)));
+            }
+        }
+        for v in middles {
+            if work.mesh.has_vertex(v) && work.mesh.freedom(v) == Freedom::Surface {
+                smooth_on_surface(work, v, true);
+            }
+        }
+    }
+}
+
+/// Whether the face of `h` is an ear at the origin of `h`.
+fn is_ear(work: &Work<'_>, h: u32) -> bool {
+    work.mesh.freedom(work.mesh.origin(h)) == Freedom::Curve
+        && work.mesh.is_feature(h)
+        && work.mesh.is_feature(HalfEdgeMesh::prev(h))
+}
+
+/// Flips the edge opposite to the ear at the origin of `h`.
+fn flip_open(work: &mut Work<'_>, h: u32) -> bool {
+    let opposite = HalfEdgeMesh::next(h);
+    if work.mesh.may_flip(opposite).is_err() {
+        return false;
+    }
+    let twin = work.mesh.twin(opposite);
+    let ids = [work.mesh.origin(opposite), work.mesh.destination(opposite)];
+    let [far, ear] = [work.mesh.apex(twin), work.mesh.origin(h)];
+    let region = work.region[(opposite / 3) as usize];
+    let fit = |ids: [u32; 3]| work.fitness(&Candidate { ids, region }).unwrap_or(0.0);
+    if fit([ids[0], far, ear]).min(fit([ids[1], ear, far])) < 0.25 {
+        return false;
+    }
+    if work.mesh.flip(opposite).is_err() {
+        return false;
+    }
+    let fresh = ids.iter().any(|v| {
+        let around: Vec<u32> = work.mesh.around(*v).collect();
+        around.iter().any(|h| is_ear(work, *h))
+    });
+    if fresh {
+        // The same edge back: `flip` twice turns it by a whole half.
+        let _ = work.mesh.flip(opposite);
+    }
+    !fresh
 }

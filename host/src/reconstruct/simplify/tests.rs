@@ -305,3 +305,58 @@ fn degenerate_meshes_do_not_panic() {
         assert_eq!(topology(&simple.mesh).euler, topology(&mesh).euler);
     }
 }
+
+#[test]
+fn no_face_has_two_edges_of_one_smooth_rim() {
+    // A cylinder as a surface of revolution; its rims are creases. Its lids are flat, so that few faces would do.
+    let around = 48_u32;
+    let lid = (1..=8).map(|i| (f64::from(i) / 8.0, 0.0));
+    let side = (1..=16).map(|i| (1.0, f64::from(i) / 6.0));
+    let top = (1..8).rev().map(|i| (f64::from(i) / 8.0, 16.0 / 6.0));
+    let profile: Vec<(f64, f64)> = lid.chain(side).chain(top).collect();
+    let at = |ring: u32, k: u32| 1 + ring * around + k % around;
+    let last = profile.len() as u32 - 1;
+    let pole = 1 + (last + 1) * around;
+    let mut positions = vec![Vec3::zeros()];
+    let (mut faces, mut edges) = (Vec::new(), Vec::new());
+    for (ring, (radius, height)) in (0..).zip(&profile) {
+        for k in 0..around {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / f64::from(around)).sin_cos();
+            positions.push(Vec3::new(radius * cos, radius * sin, *height));
+            if ring == 0 {
+                faces.push([0, at(0, k + 1), at(0, k)]);
+            } else {
+                faces.push([at(ring - 1, k), at(ring - 1, k + 1), at(ring, k)]);
+                faces.push([at(ring - 1, k + 1), at(ring, k + 1), at(ring, k)]);
+            }
+            if ring == last {
+                faces.push([at(last, k), at(last, k + 1), pole]);
+            }
+            if ring == 7 || ring == 23 {
+                edges.push([at(ring, k), at(ring, k + 1)]);
+            }
+        }
+    }
+    positions.push(Vec3::new(0.0, 0.0, 16.0 / 6.0));
+    let dense = TriangleMesh { positions, faces };
+    let creases = CreaseLines {
+        edges,
+        ..CreaseLines::default()
+    };
+    for target in [16, 24, 32] {
+        let options = Options {
+            target_faces: Some(target),
+            ..Options::default()
+        };
+        let simple = run(&dense, &creases, &options);
+        check_promises(&dense, &simple);
+        for face in &simple.mesh.faces {
+            let on_rim = |k: &usize| {
+                let (a, b) = (face[*k], face[(*k + 1) % 3]);
+                simple.creases.contains(&[a.min(b), a.max(b)])
+            };
+            let edges = (0..3).filter(on_rim).count();
+            assert!(edges < 2, "{face:?} of {} faces", simple.mesh.faces.len());
+        }
+    }
+}
