@@ -39,6 +39,7 @@ use self::{
     contacts::{Frame, Normalised},
     field::{Ball, BlendedField, Shape},
     lattice::Lattice,
+    local_fit::LocalProblem,
     planes::TangentPlanes,
     rim::Contacts,
     sheets::SheetField,
@@ -94,7 +95,7 @@ pub struct Extracted {
 
 /// Radius of a ball of contacts that a contact has to lie within to count as covered: at half of the radius the blend's
 /// weight is still a fifth of that at the centre.
-const COVERED: f64 = 0.5;
+const COVERED: f64 = 0.6;
 /// Lattice spacing against the contacts' spacing.
 const FINENESS: f64 = 0.8;
 /// Largest spacing where sheets meet in edges, which the lattice chamfers (normalised): with 374 contacts on cylinders and
@@ -661,11 +662,15 @@ fn try_balls(
             if cover.radius <= 0.0 {
                 return None;
             }
-            let tau2 = {
-                let problem = smoothing::problem(kernel, data, &cover.thinned(), levels);
-                smoothing::choose_tau2(&problem, cover.radius, levels.tau2, Some(levels.tau2))
+            let choose = |problem: &LocalProblem| {
+                smoothing::choose_tau2(problem, cover.radius, levels.tau2, Some(levels.tau2))
             };
+            let thinned = cover.thinned();
+            let sketch = thinned
+                .as_ref()
+                .map(|cover| choose(&smoothing::problem(kernel, data, cover, levels)));
             let problem = smoothing::problem(kernel, data, cover, levels);
+            let tau2 = sketch.unwrap_or_else(|| choose(&problem));
             let fit = problem.solve(smoothing::local_tau2(&problem, cover.radius, tau2))?;
             Some(Ball {
                 centre: cover.centre,

@@ -22,13 +22,18 @@ use crate::{Vec3, cloud::Neighbourhoods};
 const SAMPLED_BALLS: usize = 32;
 /// Contacts per ball for that: small balls, so that many hold neither crease nor feature.
 const SAMPLED_CONTACTS: usize = 40;
-/// Rounds of noise estimation at most.
+/// Rounds of noise estimation at most, with a third of the balls and with all.
 const ROUNDS: usize = 8;
 /// Contacts of a ball from which half of them tell its smoothness.
 const THINNED_FROM: usize = 48;
-/// Least noise assumed, normalised units and radians: keeps the systems solvable for exact data.
+/// Change of the noise from one round to the next that ends them: its own error is about as large. The same for the rounds with
+/// a third of the balls.
+const SETTLED: f64 = 0.04;
+const SETTLED_ROUGHLY: f64 = 0.2;
+/// Least noise assumed, normalised units and radians: keeps the systems solvable for exact data. Normals are never met to
+/// less than a thousandth, and below a twenty thousandth only rounds would be lost.
 const LEAST_POSITION_SIGMA: f64 = 1e-7;
-const LEAST_NORMAL_SIGMA: f64 = 1e-6;
+const LEAST_NORMAL_SIGMA: f64 = 5e-5;
 
 /// Noise levels and smoothness, normalised units.
 #[derive(Clone, Copy, Debug)]
@@ -69,18 +74,13 @@ impl Cover {
         }
     }
 
-    /// The same ball with every second contact, where enough are left: smoothness is seen as well by half of the contacts
+    /// The same ball with every second contact, if enough are left: smoothness is seen as well by half of the contacts
     /// over the same breadth, at a sixth of the work.
-    pub(super) fn thinned(&self) -> Self {
-        let step = if self.members.len() >= THINNED_FROM {
-            2
-        } else {
-            1
-        };
-        Self {
-            members: self.members.iter().step_by(step).copied().collect(),
+    pub(super) fn thinned(&self) -> Option<Self> {
+        (self.members.len() >= THINNED_FROM).then(|| Self {
+            members: self.members.iter().step_by(2).copied().collect(),
             ..*self
-        }
+        })
     }
 }
 
@@ -251,6 +251,9 @@ pub(super) fn local_tau2(problem: &LocalProblem, radius: f64, tau2: f64) -> f64 
     tau2 * radius.powi(problem.kernel().exponent() - 2)
 }
 
+/// Where the search for the smoothness begins at least: far below it the evidence is flat, since the fit is a polynomial anyway, and
+/// a search that begins there may stay there.
+const LEAST_START: f64 = 1e-3;
 /// Decades by which one ball's smoothness may differ from the common one before its own evidence has to be
 /// that much stronger (a normal prior on log10 tau^2).
 const TAU_SPREAD: f64 = 1.0;
@@ -268,7 +271,7 @@ pub(super) fn choose_tau2(
             .evidence(local_tau2(problem, radius, 10f64.powf(decade)))
             .map_or(f64::INFINITY, |e| e + prior)
     };
-    10f64.powf(minimise(start.log10(), cost))
+    10f64.powf(minimise(start.max(LEAST_START).log10(), cost))
 }
 
 /// Steps of a decade downhill, then the parabola through the best three.
@@ -296,56 +299,75 @@ fn minimise(start: f64, cost: impl Fn(f64) -> f64) -> f64 {
     }
 }
 
-/// Estimates noise and smoothness from a sample of small balls.
+/// Estimates noise and smoothness from a sample of small balls, from a third of them first.
 ///
 /// The noise is taken from the smoother half of them: where the surface bends sharply (creases, the handle of a
 /// mug) a rough field follows the noise, and the deviations say nothing.
 pub(super) fn estimate(kernel: Kernel, data: &Normalised, tree: &Neighbourhoods) -> Levels {
     let balls = cover(&data.positions, tree, SAMPLED_CONTACTS, 0.5);
     let sample = sampled(&balls);
+    let few: Vec<&Cover> = sample.iter().copied().step_by(3).collect();
     let mut levels = first_guess(data, tree);
-    let mut starts = vec![levels.tau2; sample.len()];
-    for _ in 0..ROUNDS {
-        let results: Vec<_> = sample
-            .par_iter()
-            .zip(&starts)
-            .map(|(ball, &start)| {
-                let problem = problem(kernel, data, ball, &levels);
-                let tau2 = choose_tau2(&problem, ball.radius, start, None);
-                let out = problem.leave_one_out(local_tau2(&problem, ball.radius, tau2));
-                (tau2, out)
-            })
-            .collect();
-        let mut order: Vec<usize> = (0..sample.len()).collect();
-        order.sort_by(|&a, &b| results[a].0.total_cmp(&results[b].0).then(a.cmp(&b)));
-        let (mut values, mut tangents) = (Vec::new(), Vec::new());
-        for &s in &order[..sample.len().div_ceil(2)] {
-            let deviations = results[s].1.iter().flatten();
-            for (e, &i) in deviations.zip(&sample[s].members) {
-                let normal = data.normals[i as usize];
-                let e_normal = Vec3::new(e[1], e[2], e[3]);
-                let along = normal * e_normal.dot(&normal);
-                values.push(e[0].abs());
-                tangents.push((e_normal - along).norm_squared());
+    for (sample, settled) in [(&few, SETTLED_ROUGHLY), (&sample, SETTLED)] {
+        let mut starts = vec![levels.tau2; sample.len()];
+        for _ in 0..ROUNDS {
+            let before = levels;
+            levels = better_levels(kernel, data, sample, &mut starts, &before);
+            let same = |now: f64, before: f64| (now / before - 1.0).abs() < settled;
+            if same(levels.position_sigma, before.position_sigma)
+                && same(levels.normal_sigma, before.normal_sigma)
+            {
+                break;
             }
-        }
-        // Medians of |N(0,1)| and of chi-squared with two degrees of freedom.
-        let position_factor = median(&mut values).map_or(1.0, |m| m / 0.674_49);
-        let normal_factor = median(&mut tangents).map_or(1.0, |m| (m / 1.386_29).sqrt());
-        starts = results.iter().map(|(t, _)| *t).collect();
-        let mut decades: Vec<f64> = starts.iter().map(|t| t.log10()).collect();
-        levels = Levels {
-            position_sigma: (levels.position_sigma * position_factor.clamp(0.05, 20.0))
-                .max(LEAST_POSITION_SIGMA),
-            normal_sigma: (levels.normal_sigma * normal_factor.clamp(0.05, 20.0))
-                .max(LEAST_NORMAL_SIGMA),
-            tau2: median(&mut decades).map_or(levels.tau2, |d| 10f64.powf(d)),
-        };
-        if (position_factor - 1.0).abs() < 0.03 && (normal_factor - 1.0).abs() < 0.03 {
-            break;
         }
     }
     levels
+}
+
+/// One round: the noise that makes the deviations of the sampled balls what they should be. `starts` are the balls' own
+/// smoothness, from the last round and for the next.
+fn better_levels(
+    kernel: Kernel,
+    data: &Normalised,
+    sample: &[&Cover],
+    starts: &mut Vec<f64>,
+    levels: &Levels,
+) -> Levels {
+    let results: Vec<_> = sample
+        .par_iter()
+        .zip(&*starts)
+        .map(|(ball, &start)| {
+            let problem = problem(kernel, data, ball, levels);
+            let tau2 = choose_tau2(&problem, ball.radius, start, None);
+            let out = problem.leave_one_out(local_tau2(&problem, ball.radius, tau2));
+            (tau2, out)
+        })
+        .collect();
+    let mut order: Vec<usize> = (0..sample.len()).collect();
+    order.sort_by(|&a, &b| results[a].0.total_cmp(&results[b].0).then(a.cmp(&b)));
+    let (mut values, mut tangents) = (Vec::new(), Vec::new());
+    for &s in &order[..sample.len().div_ceil(2)] {
+        let deviations = results[s].1.iter().flatten();
+        for (e, &i) in deviations.zip(&sample[s].members) {
+            let normal = data.normals[i as usize];
+            let e_normal = Vec3::new(e[1], e[2], e[3]);
+            let along = normal * e_normal.dot(&normal);
+            values.push(e[0].abs());
+            tangents.push((e_normal - along).norm_squared());
+        }
+    }
+    // Medians of |N(0,1)| and of chi-squared with two degrees of freedom.
+    let position_factor = median(&mut values).map_or(1.0, |m| m / 0.674_49);
+    let normal_factor = median(&mut tangents).map_or(1.0, |m| (m / 1.386_29).sqrt());
+    *starts = results.iter().map(|(t, _)| *t).collect();
+    let mut decades: Vec<f64> = starts.iter().map(|t| t.log10()).collect();
+    Levels {
+        position_sigma: (levels.position_sigma * position_factor.clamp(0.05, 20.0))
+            .max(LEAST_POSITION_SIGMA),
+        normal_sigma: (levels.normal_sigma * normal_factor.clamp(0.05, 20.0))
+            .max(LEAST_NORMAL_SIGMA),
+        tau2: median(&mut decades).map_or(levels.tau2, |d| 10f64.powf(d)),
+    }
 }
 
 /// The same noise with the smoothness that suits another kernel.
@@ -358,7 +380,8 @@ pub(super) fn with_smoothness(
     let mut decades: Vec<f64> = sampled(balls)
         .par_iter()
         .map(|ball| {
-            let problem = problem(kernel, data, &ball.thinned(), levels);
+            let thinned = ball.thinned();
+            let problem = problem(kernel, data, thinned.as_ref().unwrap_or(ball), levels);
             choose_tau2(&problem, ball.radius, 0.1, None).log10()
         })
         .collect();
