@@ -152,7 +152,8 @@ pub fn find_outliers(
     options.check()?;
     let (frame, all) = contacts::normalise(cloud)?;
     let field = fit(frame, all, options, Care::AtContacts)?;
-    Ok((field.outliers.clone(), field.noise()))
+    let noise = field.noise();
+    Ok((field.outliers, noise))
 }
 
 /// Where a field has to be good.

@@ -102,7 +102,7 @@ enum Carried {
     /// Local fits.
     Blended(BlendedField),
     /// The one plane or quadric that the sheet is.
-    Whole(QuadricFit),
+    Whole(Box<QuadricFit>),
 }
 
 impl Carried {
@@ -180,16 +180,16 @@ impl SheetField {
             let count = neighbours.min(own.positions.len());
             let covers = smoothing::cover(&own.positions, &tree, count, super::COVERED);
             let levels = smoothing::with_smoothness(kernel, &own, &covers, levels);
-            let normals = own.normals.clone();
             let places = places(&own, &levels.at_least(EXACT_POSITION, EXACT_NORMAL));
-            let fits = Fits::new(kernel, own, tree.clone(), covers, Vec::new(), &levels);
+            let fits = Fits::new(kernel, own, tree, covers, Vec::new(), &levels);
+            let field = match whole(&places, &fits) {
+                Some(fit) => Carried::Whole(Box::new(fit)),
+                None => Carried::Blended(fits.blend()?),
+            };
             sheets.push(Sheet {
-                field: match whole(&places, &fits) {
-                    Some(fit) => Carried::Whole(fit),
-                    None => Carried::Blended(fits.blend()?),
-                },
-                contacts: tree,
-                normals,
+                field,
+                contacts: fits.tree,
+                normals: fits.data.normals,
                 flat: kernel == FLAT,
                 beyond: Vec::new(),
             });
