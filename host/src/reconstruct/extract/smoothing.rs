@@ -124,7 +124,8 @@ pub(super) fn around(position: Vec3, normal: Vec3, distance: f64) -> impl Iterat
 /// each: on the mug's tracks the largest error falls by a third.
 ///
 /// Places are tried around every contact in its tangent plane, and taken if they are `spacing` away from all
-/// contacts and nearly twice that from each other.
+/// contacts and more than twice that from each other: at 1.8 spacings a torus had more balls in its gaps than elsewhere and
+/// was no truer, at 3 mugs are less true.
 pub(super) fn gap_covers(
     data: &Normalised,
     tree: &Neighbourhoods,
@@ -142,7 +143,7 @@ pub(super) fn gap_covers(
             })
         })
         .collect();
-    let mut taken = Apart::by(1.8 * spacing);
+    let mut taken = Apart::by(2.4 * spacing);
     candidates
         .into_iter()
         .filter(|x| taken.take(x, (), |()| true))
