@@ -40,7 +40,7 @@ pub(super) struct Place {
 #[derive(Clone, Debug)]
 pub(super) struct QuadricFit {
     pub quadric: Quadric,
-    /// Sum of the squared residuals (a height and three components of a normal per place), in standard deviations.
+    /// That of the places it was fitted to.
     pub misfit: f64,
     /// Of the coefficients.
     covariance: SMatrix<f64, QUADRIC, QUADRIC>,
@@ -60,6 +60,20 @@ fn slopes(u: &Vec3) -> [SVector<f64, QUADRIC>; 3] {
         [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 2.0 * z, 0.0, y, x],
     ]
     .map(SVector::from)
+}
+
+/// The equations of a place: row and right-hand side, in standard deviations.
+fn rows(place: &Place, origin: &Vec3, scale: f64) -> [(SVector<f64, QUADRIC>, f64); 4] {
+    let u = (place.position - origin) / scale;
+    let [x, y, z] = slopes(&u);
+    let (height, tilt) = (scale / place.sigma, 1.0 / place.tilt);
+    let n = place.normal;
+    [
+        (monomials(&u) * height, 0.0),
+        (x * tilt, n.x * tilt),
+        (y * tilt, n.y * tilt),
+        (z * tilt, n.z * tilt),
+    ]
 }
 
 impl QuadricFit {
@@ -82,18 +96,7 @@ impl QuadricFit {
             .iter()
             .map(|p| (p.position - origin).norm())
             .fold(0.0, f64::max);
-        let rows = |place: &Place| {
-            let u = (place.position - origin) / scale;
-            let [x, y, z] = slopes(&u);
-            let (height, tilt) = (scale / place.sigma, 1.0 / place.tilt);
-            let n = place.normal;
-            [
-                (monomials(&u) * height, 0.0),
-                (x * tilt, n.x * tilt),
-                (y * tilt, n.y * tilt),
-                (z * tilt, n.z * tilt),
-            ]
-        };
+        let rows = |place: &Place| rows(place, &origin, scale);
         let mut left = SMatrix::<f64, QUADRIC, QUADRIC>::zeros();
         let mut right = SVector::<f64, QUADRIC>::zeros();
         for (row, value) in places.iter().flat_map(rows) {
@@ -117,17 +120,15 @@ impl QuadricFit {
         for i in terms..QUADRIC {
             covariance[(i, i)] = 0.0;
         }
-        let residuals = places.iter().flat_map(rows);
-        let misfit: f64 = residuals
-            .map(|(row, value)| (row.dot(&coefficients) - value).powi(2))
-            .sum();
+        let quadric = Quadric {
+            origin,
+            scale,
+            coefficients,
+        };
+        let misfit = quadric.misfit(places);
         let finite = misfit.is_finite() && coefficients.iter().all(|c| c.is_finite());
         finite.then_some(Self {
-            quadric: Quadric {
-                origin,
-                scale,
-                coefficients,
-            },
+            quadric,
             misfit,
             covariance,
         })
@@ -143,6 +144,16 @@ impl QuadricFit {
 impl Quadric {
     fn inward(&self, x: &Vec3) -> Vec3 {
         (x - self.origin) / self.scale
+    }
+
+    /// Sum of the squared residuals of places (a height and three components of a normal each), in standard deviations.
+    pub(super) fn misfit(&self, places: &[Place]) -> f64 {
+        let equations = places
+            .iter()
+            .flat_map(|place| rows(place, &self.origin, self.scale));
+        equations
+            .map(|(row, value)| (row.dot(&self.coefficients) - value).powi(2))
+            .sum()
     }
 
     /// Value at `x`: near the sheet the signed distance from it, positive on the side its normals point to.

@@ -43,6 +43,9 @@ const LEAST_SCATTER: f64 = 0.04;
 const LEAST_SCATTER_NORMAL: f64 = 0.02;
 /// How far, in spacings, a sheet is carried on to such a piece.
 const SIGHT: f64 = 8.0;
+/// A quadric explains points whose mean squared residual, a height and two tilts to a point, is at most this (1: that of the
+/// scatter).
+const WHOLE_MISFIT: f64 = 1.5;
 /// Least cosine between the normals of planes that may be one (10 degrees).
 const PARALLEL: f64 = 0.985;
 /// Places at which two sheets must be seen to meet at an angle.
@@ -124,6 +127,7 @@ impl<'a> Regions<'a> {
         out.grow(&neighbours);
         out.settle(&neighbours, turn_min);
         out.sort_members();
+        out.join_pieces();
         out.join_planes();
         out.sharpen_planes(turn_min);
         out
@@ -375,11 +379,31 @@ impl<'a> Regions<'a> {
         }
     }
 
-    /// The regions that break with others and are planes, with a normal and their places.
-    fn planes(&self) -> Vec<Plane> {
+    /// The points of a region with their scatter.
+    fn places(&self, region: u32) -> Vec<Place> {
+        let points = self.index.get(&region).map(|m| m.points.as_slice());
+        let place = |i: &u32| {
+            let p = &self.points[*i as usize];
+            Place {
+                position: p.position,
+                normal: p.normal,
+                sigma: self.scatter.position,
+                tilt: self.scatter.normal,
+            }
+        };
+        points.unwrap_or_default().iter().map(place).collect()
+    }
+
+    /// The regions that break with others, rising.
+    fn edged(&self) -> Vec<u32> {
         let mut edged: Vec<u32> = self.sharp.iter().flatten().copied().collect();
         edged.sort_unstable();
         edged.dedup();
+        edged
+    }
+
+    /// The regions that break with others and are planes, with a normal and their places.
+    fn planes(&self) -> Vec<Plane> {
         let of_region = |region: u32| {
             let points = &self.index.get(&region)?.points;
             let own: Vec<OrientedPoint> =
@@ -393,17 +417,53 @@ impl<'a> Regions<'a> {
             (sheet.is_plane() && sheet.misfit < MISFIT_MAX).then(|| Plane {
                 region,
                 normal: sheet.normal(&centre),
-                places: (own.iter())
-                    .map(|p| Place {
-                        position: p.position,
-                        normal: p.normal,
-                        sigma: self.scatter.position,
-                        tilt: self.scatter.normal,
-                    })
-                    .collect(),
+                places: self.places(region),
             })
         };
-        edged.into_iter().filter_map(of_region).collect()
+        self.edged().into_iter().filter_map(of_region).collect()
+    }
+
+    /// Pieces of a sheet that is one quadric join it: those with few points that it explains, and it explains its own. Around a
+    /// cylinder's rim ten points may lean so that they seem to break with its side.
+    fn join_pieces(&mut self) {
+        for host in self.edged() {
+            let own = self.places(host);
+            if own.len() < FRAGMENT_MAX {
+                continue;
+            }
+            let explains = |fit: &QuadricFit, places: &[Place]| {
+                fit.quadric.misfit(places) < WHOLE_MISFIT * 3.0 * places.len() as f64
+            };
+            let Some(whole) = QuadricFit::quadric(&own).filter(|fit| explains(fit, &own)) else {
+                continue;
+            };
+            let pieces: Vec<u32> = (self.names().into_iter())
+                .filter(|piece| {
+                    let places = self.places(*piece);
+                    *piece != host && places.len() < FRAGMENT_MAX && explains(&whole, &places)
+                })
+                .collect();
+            for piece in pieces {
+                self.join([host, piece]);
+            }
+        }
+    }
+
+    /// Takes region `b` into `a`.
+    fn join(&mut self, [a, b]: [u32; 2]) {
+        for label in self.label.iter_mut().filter(|l| **l == b) {
+            *label = a;
+        }
+        for region in self.sharp.iter_mut().flatten().filter(|l| **l == b) {
+            *region = a;
+        }
+        for pair in &mut self.sharp {
+            pair.sort_unstable();
+        }
+        self.sharp.retain(|[a, b]| a != b);
+        self.sharp.sort_unstable();
+        self.sharp.dedup();
+        self.sort_members();
     }
 
     /// Planes that a gap parts and that are one join: if one plane explains the places of both about as well as two do
@@ -415,21 +475,10 @@ impl<'a> Regions<'a> {
             let one = pairs
                 .map(|(j, i)| [&planes[j], &planes[i]])
                 .find(|[a, b]| self.are_one(a, b));
-            let Some([a, b]) = one.map(|pair| pair.map(|plane| plane.region)) else {
+            let Some(pair) = one.map(|pair| pair.map(|plane| plane.region)) else {
                 return;
             };
-            for label in self.label.iter_mut().filter(|l| **l == b) {
-                *label = a;
-            }
-            for region in self.sharp.iter_mut().flatten().filter(|l| **l == b) {
-                *region = a;
-            }
-            for pair in &mut self.sharp {
-                pair.sort_unstable();
-            }
-            self.sharp.sort_unstable();
-            self.sharp.dedup();
-            self.sort_members();
+            self.join(pair);
         }
     }
 
@@ -741,5 +790,54 @@ mod tests {
         assert!(!boundary(59, [130, 58, 20], 40.0).mostly_sharp());
         assert!(!boundary(59, [130, 40, 0], 40.0).mostly_sharp());
         assert!(!boundary(59, [130, 58, 0], 40.0).is_sharp());
+    }
+
+    /// The side of a cylinder from z = 0 to 1, and its lid there.
+    fn open_cylinder() -> Cloud {
+        let mut cloud = Cloud::default();
+        let mut push = |position, normal| {
+            cloud.points.push(OrientedPoint {
+                position,
+                normal,
+                sigma: None,
+                finger: None,
+                time_us: None,
+            });
+        };
+        for k in 0..400_u32 {
+            let (sin, cos) = (2.399_963 * f64::from(k)).sin_cos();
+            let height = f64::from(k) / 400.0;
+            push(
+                Vec3::new(0.4 * cos, 0.4 * sin, height),
+                Vec3::new(cos, sin, 0.0),
+            );
+            if k % 4 == 0 {
+                let radius = 0.4 * height.sqrt();
+                push(Vec3::new(radius * cos, radius * sin, 1.0), Vec3::z());
+            }
+        }
+        cloud
+    }
+
+    #[test]
+    fn a_piece_of_a_cylinders_side_joins_it_and_its_lid_does_not() {
+        let cloud = open_cylinder();
+        let mut regions = Regions::new(&cloud, 0.6);
+        assert_eq!((regions.names().len(), regions.sharp.len()), (2, 1));
+        let whole = regions.label.clone();
+        let [side, lid] = [0, 1].map(|point| whole[point]);
+        // Twelve points of the side beside the lid, said to break with both.
+        let near = regions.tree.nearest(&Vec3::new(0.4, 0.0, 0.8), 12);
+        let piece = 7;
+        for (k, _) in near {
+            regions.label[k] = piece;
+        }
+        regions.sharp = [side, lid].map(|other| [other, piece]).to_vec();
+        regions.sharp.push([side.min(lid), side.max(lid)]);
+        regions.sharp.sort_unstable();
+        regions.sort_members();
+        regions.join_pieces();
+        assert_eq!(regions.label, whole);
+        assert_eq!(regions.sharp, [[side.min(lid), side.max(lid)]]);
     }
 }

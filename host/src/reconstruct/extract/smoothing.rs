@@ -124,13 +124,13 @@ pub(super) fn around(position: Vec3, normal: Vec3, distance: f64) -> impl Iterat
 /// each: on the mug's tracks the largest error falls by a third.
 ///
 /// Places are tried around every contact in its tangent plane, and taken if they are `spacing` away from all
-/// contacts and more than twice that from each other: at 1.8 spacings a torus had more balls in its gaps than elsewhere and
-/// was no truer, at 3 mugs are less true.
+/// contacts and `apart` spacings from each other.
 pub(super) fn gap_covers(
     data: &Normalised,
     tree: &Neighbourhoods,
     k: usize,
     spacing: f64,
+    apart: f64,
 ) -> Vec<Cover> {
     let candidates: Vec<Vec3> = data
         .positions
@@ -143,7 +143,7 @@ pub(super) fn gap_covers(
             })
         })
         .collect();
-    let mut taken = Apart::by(2.4 * spacing);
+    let mut taken = Apart::by(apart * spacing);
     candidates
         .into_iter()
         .filter(|x| taken.take(x, (), |()| true))
