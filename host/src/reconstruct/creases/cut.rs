@@ -31,8 +31,8 @@ pub(super) struct Cutting<'a, 'b> {
     pub(super) near: Vec<Vec<(u32, Piece, Vec3)>>,
 }
 
-/// Cuts `mesh` between the `sharp` pairs (sorted) of the sheets of `regions`; the `field` it was extracted from tells the sheet of a place on it and
-/// which sheets are one plane or quadric.
+/// Cuts `mesh` between the `sharp` pairs (sorted) of the sheets of `regions`; the `field` it was extracted from tells the
+/// sheet of a place on it and which sheets are one plane or quadric.
 ///
 /// Two ways were weighed to tell the sheet of a vertex: to ask the points near by, which know nothing of a sheet that no track
 /// follows up to its edge (half a block's end, 0.25 of its length without a touch, was cut as the side beside it), and to

@@ -7,6 +7,7 @@
 //! it is a crease only where both sheets, carried on from their own side, meet between the points at an
 //! angle, and no point near by contradicts them. Regions on both sides of any other boundary are joined, unless both
 //! break with others: such sheets are what they seem, and stay apart where nothing shows that one goes on as the other.
+//! What a gap parts joins again if one plane explains both sides, or the quadric of a large region a small one.
 
 use super::sheet::{Piece, Scatter, Sheet, meet};
 use crate::Vec3;
@@ -210,7 +211,7 @@ impl<'a> Regions<'a> {
             .or_else(|| self.through(&near[..near.len().min(SHEET_POINTS)], at))
     }
 
-    /// Sorts the points of every region for quick look-ups, once the regions no longer change.
+    /// Sorts the points of every region for quick look-ups; again whenever regions have joined.
     fn sort_members(&mut self) {
         self.index.clear();
         let mut members: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
