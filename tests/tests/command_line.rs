@@ -81,6 +81,9 @@ fn unusable_inputs_are_refused_with_file_line_and_value() {
     write("model.stl", &good);
     write("head.ply", &good);
     write("two.xyz", &good[..2]);
+    let mut few = good[..2].to_vec();
+    few.push("1 nan 0 0 0 1".into());
+    write("few.xyz", &few);
     write("same.xyz", &vec!["1 2 3 0 0 1".to_owned(); 50]);
     let line: Vec<String> = (0..50).map(|k| format!("{k} 0 0 0 0 1")).collect();
     write("line.xyz", &line);
@@ -97,6 +100,10 @@ fn unusable_inputs_are_refused_with_file_line_and_value() {
         ("model.stl", &["model.stl", "mesh"]),
         ("head.ply", &["head.ply", "does not begin"]),
         ("two.xyz", &["2 usable contacts are too few"]),
+        (
+            "few.xyz",
+            &["2 usable contacts are too few", "few.xyz:3:", "NaN"],
+        ),
         ("same.xyz", &["50 points", "coincide"]),
         ("line.xyz", &["on a line"]),
     ] {

@@ -13,6 +13,7 @@ use palpus_host::reconstruct::creases::CreaseOptions;
 use palpus_host::reconstruct::extract;
 use palpus_host::reconstruct::fit::NormalTerm;
 use palpus_host::reconstruct::{Options, ReconstructError, Reconstruction, Stage, reconstruct};
+use palpus_host::report::InputFigures;
 use palpus_host::run::points::points;
 use palpus_host::spline::{Fineness, SampledSurface, Surface};
 use std::borrow::Cow;
@@ -230,8 +231,13 @@ pub fn run(common: &Common, args: &Args) -> Result<Exit, Failure> {
         ..Options::default()
     };
     let line = PhaseLine::new(common);
-    let result = reconstruct(&cloud, &options, &|progress| line.show(progress))
-        .map_err(|e| Failure::new(exit_of(&e), e))?;
+    let result = reconstruct(&cloud, &options, &|progress| line.show(progress)).map_err(|e| {
+        // There is no report to name them in, and they may be why.
+        for row in InputFigures::of(&cloud).rejected_rows {
+            say::err(&format!("  left out: {row}"));
+        }
+        Failure::new(exit_of(&e), e)
+    })?;
     line.say("writing".to_owned());
     write(args, &cloud, &result)?;
     drop(line);
