@@ -16,6 +16,10 @@ const QUADRIC: usize = 10;
 /// plane says nothing of z^2).
 const LOOSE: f64 = 10.0;
 
+/// Mean squared residual of places, a height and two tilts to each (the normals are of unit length), in variances of theirs, up to
+/// which a plane or quadric explains them.
+const EXPLAINED: f64 = 1.5;
+
 /// A plane or quadric.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Quadric {
@@ -154,6 +158,11 @@ impl Quadric {
         equations
             .map(|(row, value)| (row.dot(&self.coefficients) - value).powi(2))
             .sum()
+    }
+
+    /// Whether what is left of the places is no more than their scatter.
+    pub(super) fn explains(&self, places: &[Place]) -> bool {
+        self.misfit(places) < EXPLAINED * 3.0 * places.len() as f64
     }
 
     /// Value at `x`: near the sheet the signed distance from it, positive on the side its normals point to.

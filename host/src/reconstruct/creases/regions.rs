@@ -44,9 +44,6 @@ const LEAST_SCATTER: f64 = 0.04;
 const LEAST_SCATTER_NORMAL: f64 = 0.02;
 /// How far, in spacings, a sheet is carried on to such a piece.
 const SIGHT: f64 = 8.0;
-/// A quadric explains points whose mean squared residual, a height and two tilts to a point, is at most this (1: that of the
-/// scatter).
-const WHOLE_MISFIT: f64 = 1.5;
 /// Least cosine between the normals of planes that may be one (10 degrees).
 const PARALLEL: f64 = 0.985;
 /// Places at which two sheets must be seen to meet at an angle.
@@ -432,16 +429,14 @@ impl<'a> Regions<'a> {
             if own.len() < FRAGMENT_MAX {
                 continue;
             }
-            let explains = |fit: &QuadricFit, places: &[Place]| {
-                fit.quadric.misfit(places) < WHOLE_MISFIT * 3.0 * places.len() as f64
-            };
-            let Some(whole) = QuadricFit::quadric(&own).filter(|fit| explains(fit, &own)) else {
+            let Some(whole) = QuadricFit::quadric(&own).filter(|fit| fit.quadric.explains(&own))
+            else {
                 continue;
             };
             let pieces: Vec<u32> = (self.names().into_iter())
                 .filter(|piece| {
                     let places = self.places(*piece);
-                    *piece != host && places.len() < FRAGMENT_MAX && explains(&whole, &places)
+                    *piece != host && places.len() < FRAGMENT_MAX && whole.quadric.explains(&places)
                 })
                 .collect();
             for piece in pieces {

@@ -63,8 +63,6 @@ const LEANING_MOST: f64 = 0.05;
 /// largest squared difference at their centres, in variances of theirs. At 2 in the mean what it errs by is what it saves.
 const WHOLE_MEAN: f64 = 2.0;
 const WHOLE_MOST: f64 = 12.0;
-/// And its mean squared residual, a height and two tilts to a contact, in variances of the contacts.
-const WHOLE_MISFIT: f64 = 1.5;
 /// Standard deviations, relative to the size and in radians, below which a plane or quadric is as good as exact: normals of
 /// the facets of a cylinder with 720 of them are off by 2.5e-3.
 const EXACT_POSITION: f64 = 2e-5;
@@ -455,9 +453,7 @@ fn whole(places: &[Place], fits: &Fits) -> Option<QuadricFit> {
             sum += off;
             most = most.max(off);
         }
-        sum < WHOLE_MEAN * balls.len() as f64
-            && most < WHOLE_MOST
-            && fit.misfit < WHOLE_MISFIT * 3.0 * places.len() as f64
+        sum < WHOLE_MEAN * balls.len() as f64 && most < WHOLE_MOST && fit.quadric.explains(places)
     };
     let plane = || QuadricFit::plane(places).filter(|_| places.len() >= PLANE_CONTACTS);
     let quadric = || QuadricFit::quadric(places).filter(|_| places.len() >= QUADRIC_CONTACTS);

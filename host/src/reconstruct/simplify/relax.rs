@@ -243,7 +243,24 @@ fn badness(work: &Work<'_>, v: u32) -> usize {
     4usize.saturating_sub(valence) + valence.saturating_sub(8)
 }
 
+/// Flips the edge of `h` if its faces will be worth `least` and the valences at them get better.
 fn flip_if(work: &mut Work<'_>, h: u32, least: f64) -> bool {
+    if work.mesh.may_flip(h).is_err() {
+        return false;
+    }
+    let four = [
+        work.mesh.origin(h),
+        work.mesh.destination(h),
+        work.mesh.apex(h),
+        work.mesh.apex(work.mesh.twin(h)),
+    ];
+    let sum = |work: &Work<'_>| four.iter().map(|v| badness(work, *v)).sum::<usize>();
+    let before = sum(work);
+    flip_unless(work, h, least, |work| sum(work) >= before)
+}
+
+/// Flips the edge of `h` if its faces will be worth `least`, and back if the mesh is `worse` then.
+fn flip_unless(work: &mut Work<'_>, h: u32, least: f64, worse: impl Fn(&Work<'_>) -> bool) -> bool {
     if work.mesh.may_flip(h).is_err() {
         return false;
     }
@@ -256,25 +273,15 @@ fn flip_if(work: &mut Work<'_>, h: u32, least: f64) -> bool {
     );
     let region = work.region[(h / 3) as usize];
     let fit = |ids: [u32; 3]| work.fitness(&Candidate { ids, region }).unwrap_or(0.0);
-    if fit([a, d, c]).min(fit([b, c, d])) < least {
+    if fit([a, d, c]).min(fit([b, c, d])) < least || work.mesh.flip(h).is_err() {
         return false;
     }
-    let sum = |work: &Work<'_>| {
-        [a, b, c, d]
-            .iter()
-            .map(|v| badness(work, *v))
-            .sum::<usize>()
-    };
-    let before = sum(work);
-    if work.mesh.flip(h).is_err() {
+    if worse(work) {
+        // The same edge back: `flip` twice turns it by a whole half.
+        let _ = work.mesh.flip(h);
         return false;
     }
-    if sum(work) < before {
-        return true;
-    }
-    // The same edge back: `flip` twice turns it by a whole half.
-    let _ = work.mesh.flip(h);
-    false
+    true
 }
 
 fn mend_low(work: &mut Work<'_>, v: u32) {
@@ -354,30 +361,12 @@ fn is_ear(work: &Work<'_>, h: u32) -> bool {
         && work.mesh.is_feature(HalfEdgeMesh::prev(h))
 }
 
-/// Flips the edge opposite to the ear at the origin of `h`.
+/// Flips the edge opposite to the ear at the origin of `h`, if that makes no other ear.
 fn flip_open(work: &mut Work<'_>, h: u32) -> bool {
     let opposite = HalfEdgeMesh::next(h);
-    if work.mesh.may_flip(opposite).is_err() {
-        return false;
-    }
-    let twin = work.mesh.twin(opposite);
-    let ids = [work.mesh.origin(opposite), work.mesh.destination(opposite)];
-    let [far, ear] = [work.mesh.apex(twin), work.mesh.origin(h)];
-    let region = work.region[(opposite / 3) as usize];
-    let fit = |ids: [u32; 3]| work.fitness(&Candidate { ids, region }).unwrap_or(0.0);
-    if fit([ids[0], far, ear]).min(fit([ids[1], ear, far])) < 0.25 {
-        return false;
-    }
-    if work.mesh.flip(opposite).is_err() {
-        return false;
-    }
-    let fresh = ids.iter().any(|v| {
-        let around: Vec<u32> = work.mesh.around(*v).collect();
-        around.iter().any(|h| is_ear(work, *h))
-    });
-    if fresh {
-        // The same edge back: `flip` twice turns it by a whole half.
-        let _ = work.mesh.flip(opposite);
-    }
-    !fresh
+    let ends = [work.mesh.origin(opposite), work.mesh.destination(opposite)];
+    flip_unless(work, opposite, 0.25, |work| {
+        let ear_at = |v: &u32| work.mesh.around(*v).any(|h| is_ear(work, h));
+        ends.iter().any(ear_at)
+    })
 }
