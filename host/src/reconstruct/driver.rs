@@ -740,9 +740,8 @@ fn simplify_mesh(
         .get_or_insert(accuracy.max(LEAST_ACCURACY));
     let field = &extracted.field;
     let project = |x: &Vec3| {
-        let foot = field.project(x)?;
-        let normal = field.gradient(&foot).try_normalize(1e-12)?;
-        Some((foot, normal))
+        let (foot, gradient) = field.foot(x)?;
+        Some((foot, gradient.try_normalize(1e-12)?))
     };
     let simplify = |options: &simplify::Options| {
         simplify::simplify(

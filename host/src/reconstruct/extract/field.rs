@@ -60,6 +60,13 @@ impl Field {
             .map(|y| self.frame.outward(&y))
     }
 
+    /// As [`Self::project`], with the field's gradient there.
+    pub(in crate::reconstruct) fn foot(&self, x: &Vec3) -> Option<(Vec3, Vec3)> {
+        let (foot, gradient) = self.shape.newton(&self.frame.inward(x), 0.01)?;
+        let gradient = gradient.unwrap_or_else(|| self.shape.value_and_gradient(&foot).1);
+        Some((self.frame.outward(&foot), gradient))
+    }
+
     /// Standard deviation of the surface's position near `x`, unit of the input.
     ///
     /// The posterior ones of the local fits at their centres are blended like their values, and grow with the distance d
@@ -133,6 +140,11 @@ pub(super) enum Shape {
     Sheets(SheetField),
 }
 
+/// Newton step, normalised units, after which a place counts as on the surface.
+const PROJECTED: f64 = 1e-3;
+/// Newton step, normalised units, over which the gradient is the same.
+const SAME: f64 = 1e-5;
+
 impl Shape {
     /// Value at `x`.
     pub(super) fn value(&self, x: &Vec3) -> f64 {
@@ -154,6 +166,11 @@ impl Shape {
 
     /// Newton steps along the gradient to the zero set; steps are cut at `longest`.
     pub(super) fn project(&self, x: &Vec3, longest: f64) -> Option<Vec3> {
+        self.newton(x, longest).map(|(foot, _)| foot)
+    }
+
+    /// The same, with the gradient there if it came along with the steps.
+    fn newton(&self, x: &Vec3, longest: f64) -> Option<(Vec3, Option<Vec3>)> {
         let mut at = *x;
         for _ in 0..8 {
             let (f, g) = self.value_and_gradient(&at);
@@ -168,12 +185,12 @@ impl Shape {
                 step
             };
             // What is left after a Newton step is about its square times a curvature.
-            if length < 1e-4 {
-                return Some(at);
+            if length < PROJECTED {
+                return Some((at, (length < SAME).then_some(g)));
             }
         }
         let (f, g) = self.value_and_gradient(&at);
-        (f.abs() < 1e-5 * g.norm()).then_some(at)
+        (f.abs() < 1e-5 * g.norm()).then_some((at, Some(g)))
     }
 
     fn sigma(&self, x: &Vec3) -> Option<f64> {

@@ -19,7 +19,7 @@ use faer::{
 
 use pulp::{Arch, NullaryFnOnce};
 
-use super::{kernel::Kernel, orthogonal::Orthogonal};
+use super::{dense::Dense, kernel::Kernel, orthogonal::Orthogonal};
 use crate::Vec3;
 
 /// Weight that holds polynomial terms the data cannot fix (a plane says nothing of z^3): a prior standard
@@ -46,8 +46,8 @@ pub(super) struct LocalProblem {
     /// 1 / standard deviation of each datum (value, then three gradient components, per contact).
     weight: Vec<f64>,
     polynomials: Orthogonal,
-    /// `Q^T K Q` of the weighted kernel matrix.
-    projected: Mat<f64>,
+    /// `Q^T K Q` of the weighted kernel matrix, its lower triangle.
+    projected: Dense,
     /// `Q^T y` of the weighted data.
     data: Vec<f64>,
 }
@@ -84,8 +84,12 @@ impl LocalProblem {
             }
         }
         let polynomials = Orthogonal::new(terms);
-        let mut projected = covariance(kernel, &contacts.nodes, &weight);
-        polynomials.conjugate(projected.as_mut());
+        let mut projected = Arch::new().dispatch(Covariance {
+            kernel,
+            nodes: &contacts.nodes,
+            weight: &weight,
+        });
+        polynomials.conjugate(&mut projected);
         let mut data: Vec<f64> = contacts
             .normals
             .iter()
@@ -110,20 +114,21 @@ impl LocalProblem {
     }
 
     /// Lower Cholesky factor of `tau^2 A + I`; what stands above its diagonal means nothing.
-    fn factor(&self, tau2: f64) -> Option<Mat<f64>> {
+    fn factor(&self, tau2: f64) -> Option<Dense> {
         let rank = self.polynomials.rank();
-        let m = self.projected.nrows() - rank;
-        let mut system = self.projected.submatrix(rank, rank, m, m).to_owned();
+        let m = self.projected.rows() - rank;
+        let mut system = Dense::unwritten(m, m);
         for j in 0..m {
-            let below = &mut system.col_as_slice_mut(j)[j..];
-            for x in below.iter_mut() {
-                *x *= tau2;
+            let below = &mut system.column_mut(j)[j..];
+            let known = &self.projected.column(rank + j)[rank + j..];
+            for (x, a) in below.iter_mut().zip(known) {
+                *x = a * tau2;
             }
             below[0] += 1.0;
         }
         let need = cholesky::cholesky_in_place_scratch::<f64>(m, Par::Seq, Spec::default());
         cholesky::cholesky_in_place(
-            system.as_mut(),
+            system.view_mut(),
             cholesky::LltRegularization::default(),
             Par::Seq,
             MemStack::new(&mut MemBuffer::new(need)),
@@ -134,11 +139,11 @@ impl LocalProblem {
     }
 
     /// Solves `L u = b` for the reduced data.
-    fn forward(&self, factor: &Mat<f64>) -> Mat<f64> {
+    fn forward(&self, factor: &Dense) -> Mat<f64> {
         let rest = &self.data[self.polynomials.rank()..];
         let mut u = Mat::from_fn(rest.len(), 1, |i, _| rest[i]);
         faer::linalg::triangular_solve::solve_lower_triangular_in_place(
-            factor.as_ref(),
+            factor.view(),
             u.as_mut(),
             Par::Seq,
         );
@@ -150,7 +155,7 @@ impl LocalProblem {
         let factor = self.factor(tau2)?;
         let u = self.forward(&factor);
         let quadratic: f64 = u.col(0).iter().map(|x| x * x).sum();
-        let logarithm: f64 = (0..factor.nrows()).map(|i| factor[(i, i)].ln()).sum();
+        let logarithm: f64 = (0..factor.rows()).map(|i| factor.column(i)[i].ln()).sum();
         Some(0.5 * quadratic + logarithm).filter(|e| e.is_finite())
     }
 
@@ -159,16 +164,15 @@ impl LocalProblem {
         let factor = self.factor(tau2)?;
         let mut z = self.forward(&factor);
         faer::linalg::triangular_solve::solve_upper_triangular_in_place(
-            factor.transpose(),
+            factor.view().transpose(),
             z.as_mut(),
             Par::Seq,
         );
         let rank = self.polynomials.rank();
         let top: Vec<f64> = (0..rank)
             .map(|i| {
-                let known: f64 = (0..z.nrows())
-                    .map(|j| self.projected[(i, rank + j)] * z[(j, 0)])
-                    .sum();
+                let across = &self.projected.column(i)[rank..];
+                let known: f64 = across.iter().zip(z.col(0).iter()).map(|(a, z)| a * z).sum();
                 self.data[i] - tau2 * known
             })
             .collect();
@@ -201,7 +205,7 @@ impl LocalProblem {
 
     /// Posterior variance of the value at the origin: that of the best unbiased estimate u^T y, where u solves the
     /// kriging system with the polynomials as constraints.
-    fn centre_variance(&self, factor: &Mat<f64>, tau2: f64) -> f64 {
+    fn centre_variance(&self, factor: &Dense, tau2: f64) -> f64 {
         let rank = self.polynomials.rank();
         let n = self.data.len();
         let mut cross: Vec<f64> = self
@@ -222,15 +226,18 @@ impl LocalProblem {
         let u = self.polynomials.transposed_solve(&constant);
         let mut rest = Mat::from_fn(n - rank, 1, |i, _| {
             let known: f64 = (0..rank)
-                .map(|j| self.projected[(j, rank + i)] * u[j])
+                .map(|j| self.projected.column(j)[rank + i] * u[j])
                 .sum();
             cross[rank + i] - tau2 * known
         });
         let top: Vec<f64> = (0..rank)
-            .map(|i| (0..rank).map(|j| self.projected[(i, j)] * u[j]).sum())
+            .map(|i| {
+                let entry = |j: usize| self.projected.column(i.min(j))[i.max(j)];
+                (0..rank).map(|j| entry(j) * u[j]).sum()
+            })
             .collect();
         faer::linalg::triangular_solve::solve_lower_triangular_in_place(
-            factor.as_ref(),
+            factor.view(),
             rest.as_mut(),
             Par::Seq,
         );
@@ -248,7 +255,7 @@ impl LocalProblem {
         let factor = self.factor(tau2)?;
         let mut z = self.forward(&factor);
         faer::linalg::triangular_solve::solve_upper_triangular_in_place(
-            factor.transpose(),
+            factor.view().transpose(),
             z.as_mut(),
             Par::Seq,
         );
@@ -259,7 +266,7 @@ impl LocalProblem {
         }
         self.polynomials.apply(&mut alpha);
         let mut inverse = Mat::<f64>::zeros(z.nrows(), z.nrows());
-        triangular_inverse::invert_lower_triangular(inverse.as_mut(), factor.as_ref(), Par::Seq);
+        triangular_inverse::invert_lower_triangular(inverse.as_mut(), factor.view(), Par::Seq);
         let half = self.polynomials.complete_right(&inverse);
         let precision: Vec<f64> = (0..half.ncols())
             .map(|j| half.col(j).iter().map(|x| x * x).sum())
@@ -282,40 +289,56 @@ impl LocalProblem {
     }
 }
 
-/// The weighted kernel matrix of values and gradients at the nodes, in full.
-fn covariance(kernel: Kernel, nodes: &[Vec3], weight: &[f64]) -> Mat<f64> {
-    let n = 4 * nodes.len();
-    let mut k = Mat::<f64>::zeros(n, n);
-    for j in 0..nodes.len() {
-        for i in j..nodes.len() {
-            let d = nodes[i] - nodes[j];
-            let r = kernel.radial(d.norm_squared());
-            let (wi, wj) = (&weight[4 * i..4 * i + 4], &weight[4 * j..4 * j + 4]);
-            let mut block = [[0.0; 4]; 4];
-            block[0][0] = r.value;
-            for a in 0..3 {
-                block[0][a + 1] = -r.a * d[a];
-                block[a + 1][0] = r.a * d[a];
-                for b in 0..3 {
-                    block[a + 1][b + 1] = -r.b * d[a] * d[b];
+/// The weighted kernel matrix of values and gradients at the nodes, in full; made for each kind of processor.
+struct Covariance<'a> {
+    kernel: Kernel,
+    nodes: &'a [Vec3],
+    weight: &'a [f64],
+}
+
+impl NullaryFnOnce for Covariance<'_> {
+    type Output = Dense;
+
+    #[inline(always)]
+    fn call(self) -> Dense {
+        let Self {
+            kernel,
+            nodes,
+            weight,
+        } = self;
+        let n = 4 * nodes.len();
+        let mut k = Dense::unwritten(n, n);
+        for j in 0..nodes.len() {
+            for i in j..nodes.len() {
+                let d = nodes[i] - nodes[j];
+                let r = kernel.radial(d.norm_squared());
+                let (wi, wj) = (&weight[4 * i..4 * i + 4], &weight[4 * j..4 * j + 4]);
+                let mut block = [[0.0; 4]; 4];
+                block[0][0] = r.value;
+                for a in 0..3 {
+                    block[0][a + 1] = -r.a * d[a];
+                    block[a + 1][0] = r.a * d[a];
+                    for b in 0..3 {
+                        block[a + 1][b + 1] = -r.b * d[a] * d[b];
+                    }
+                    block[a + 1][a + 1] -= r.a;
                 }
-                block[a + 1][a + 1] -= r.a;
-            }
-            for (b, wb) in wj.iter().enumerate() {
-                let below = &mut k.col_as_slice_mut(4 * j + b)[4 * i..4 * i + 4];
-                for (a, x) in below.iter_mut().enumerate() {
-                    *x = block[a][b] * wi[a] * wb;
+                for (b, wb) in wj.iter().enumerate() {
+                    let below = &mut k.column_mut(4 * j + b)[4 * i..4 * i + 4];
+                    for (a, x) in below.iter_mut().enumerate() {
+                        *x = block[a][b] * wi[a] * wb;
+                    }
                 }
-            }
-            for (a, wa) in wi.iter().enumerate() {
-                let right = &mut k.col_as_slice_mut(4 * i + a)[4 * j..4 * j + 4];
-                for (b, x) in right.iter_mut().enumerate() {
-                    *x = block[a][b] * wa * wj[b];
+                for (a, wa) in wi.iter().enumerate() {
+                    let right = &mut k.column_mut(4 * i + a)[4 * j..4 * j + 4];
+                    for (b, x) in right.iter_mut().enumerate() {
+                        *x = block[a][b] * wa * wj[b];
+                    }
                 }
             }
         }
+        k
     }
-    k
 }
 
 /// Nodes that are worked on side by side.
@@ -419,7 +442,8 @@ impl LocalField {
 }
 
 /// What the nodes give to the value, lane by lane; made for each kind of processor. The kernel is handed in as a constant,
-/// so that the loops hold no branch.
+/// so that the loops hold no branch; they are written out, because a closure that is not inlined is made for the least
+/// processor.
 struct Values<'a> {
     field: &'a LocalField,
     x: &'a Vec3,
@@ -431,11 +455,23 @@ impl NullaryFnOnce for Values<'_> {
     #[inline(always)]
     fn call(self) -> Self::Output {
         let mut f = [0.0; LANES];
-        let blocks = self.field.blocks.iter();
+        let blocks = &self.field.blocks;
         match self.field.kernel {
-            Kernel::Cubic => blocks.for_each(|b| b.add_value(Kernel::Cubic, self.x, &mut f)),
-            Kernel::Quintic => blocks.for_each(|b| b.add_value(Kernel::Quintic, self.x, &mut f)),
-            Kernel::Septic => blocks.for_each(|b| b.add_value(Kernel::Septic, self.x, &mut f)),
+            Kernel::Cubic => {
+                for b in blocks {
+                    b.add_value(Kernel::Cubic, self.x, &mut f);
+                }
+            }
+            Kernel::Quintic => {
+                for b in blocks {
+                    b.add_value(Kernel::Quintic, self.x, &mut f);
+                }
+            }
+            Kernel::Septic => {
+                for b in blocks {
+                    b.add_value(Kernel::Septic, self.x, &mut f);
+                }
+            }
         }
         f
     }
@@ -453,11 +489,23 @@ impl NullaryFnOnce for Jets<'_> {
     #[inline(always)]
     fn call(self) -> Self::Output {
         let (mut f, mut g) = ([0.0; LANES], [[0.0; LANES]; 3]);
-        let blocks = self.field.blocks.iter();
+        let blocks = &self.field.blocks;
         match self.field.kernel {
-            Kernel::Cubic => blocks.for_each(|b| b.add(Kernel::Cubic, self.x, &mut f, &mut g)),
-            Kernel::Quintic => blocks.for_each(|b| b.add(Kernel::Quintic, self.x, &mut f, &mut g)),
-            Kernel::Septic => blocks.for_each(|b| b.add(Kernel::Septic, self.x, &mut f, &mut g)),
+            Kernel::Cubic => {
+                for b in blocks {
+                    b.add(Kernel::Cubic, self.x, &mut f, &mut g);
+                }
+            }
+            Kernel::Quintic => {
+                for b in blocks {
+                    b.add(Kernel::Quintic, self.x, &mut f, &mut g);
+                }
+            }
+            Kernel::Septic => {
+                for b in blocks {
+                    b.add(Kernel::Septic, self.x, &mut f, &mut g);
+                }
+            }
         }
         (f, g)
     }

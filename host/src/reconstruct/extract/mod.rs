@@ -18,6 +18,7 @@ mod border;
 mod bridges;
 mod contacts;
 mod cube;
+mod dense;
 mod field;
 mod frontier;
 mod kernel;

@@ -1,10 +1,16 @@
 //! Householder factorisation of tall, narrow, possibly rank-deficient matrices, kept in the compact form
 //! Q = I - V T V^T (Schreiber and Van Loan 1989) so that Q can be applied to large matrices by products.
 
-use faer::{Accum, Mat, MatMut, Par, linalg::matmul::matmul};
+use faer::{Accum, Mat, MatMut, Par, linalg::matmul::matmul, reborrow::*};
+
+use pulp::{Arch, NullaryFnOnce};
+
+use super::dense::Dense;
 
 /// Columns whose remainder is smaller than this against the largest column are taken as dependent.
 const RANK_TOLERANCE: f64 = 1e-10;
+/// Columns that are worked on at once where only the lower triangle is wanted.
+const PANEL: usize = 64;
 
 /// `A P = Q R` with column pivoting, cut at the numerical rank.
 pub(super) struct Orthogonal {
@@ -20,7 +26,12 @@ pub(super) struct Orthogonal {
 
 impl Orthogonal {
     /// Factors `a`.
-    pub(super) fn new(mut a: Mat<f64>) -> Self {
+    pub(super) fn new(a: Mat<f64>) -> Self {
+        Arch::new().dispatch(Factoring(a))
+    }
+
+    #[inline(always)]
+    fn factored(mut a: Mat<f64>) -> Self {
         let (rows, columns) = (a.nrows(), a.ncols());
         let mut order: Vec<usize> = (0..columns).collect();
         let mut v = Mat::<f64>::zeros(rows, columns.min(rows));
@@ -124,35 +135,25 @@ impl Orthogonal {
         }
     }
 
-    /// `A <- Q^T A Q` for a symmetric `A` stored in full.
-    pub(super) fn conjugate(&self, mut a: MatMut<'_, f64>) {
-        let (n, rank) = (a.nrows(), self.rank());
+    /// `A <- Q^T A Q` for a symmetric `A` stored in full, of which only the lower triangle is right afterwards.
+    pub(super) fn conjugate(&self, a: &mut Dense) {
+        let (n, rank) = (a.rows(), self.rank());
         let mut av = Mat::<f64>::zeros(n, rank);
-        let mut y = Mat::<f64>::zeros(n, rank);
+        product(av.as_mut(), Accum::Replace, a.view(), self.v.as_ref(), 1.0);
+        // A - Y V^T - V Y^T + V (T^T V^T Y) V^T = A - X V^T - V X^T with X = Y - V T^T (V^T Y) / 2
+        let mut left = Dense::unwritten(n, 2 * rank);
+        let (mut x, mut v) = left.view_mut().split_at_col_mut(rank);
+        v.copy_from(&self.v);
         product(
-            av.as_mut(),
-            Accum::Replace,
-            a.as_ref(),
-            self.v.as_ref(),
-            1.0,
-        );
-        product(
-            y.as_mut(),
+            x.rb_mut(),
             Accum::Replace,
             av.as_ref(),
             self.t.as_ref(),
             1.0,
         );
-        // A - Y V^T - V Y^T + V (T^T V^T Y) V^T = A - X V^T - V X^T with X = Y - V T^T (V^T Y) / 2
         let mut vy = Mat::<f64>::zeros(rank, rank);
         let mut s = Mat::<f64>::zeros(rank, rank);
-        product(
-            vy.as_mut(),
-            Accum::Replace,
-            self.v.transpose(),
-            y.as_ref(),
-            1.0,
-        );
+        product(vy.as_mut(), Accum::Replace, self.v.transpose(), x.rb(), 1.0);
         product(
             s.as_mut(),
             Accum::Replace,
@@ -160,9 +161,24 @@ impl Orthogonal {
             vy.as_ref(),
             1.0,
         );
-        product(y.as_mut(), Accum::Add, self.v.as_ref(), s.as_ref(), -0.5);
-        product(a.as_mut(), Accum::Add, y.as_ref(), self.v.transpose(), -1.0);
-        product(a.as_mut(), Accum::Add, self.v.as_ref(), y.transpose(), -1.0);
+        product(x.rb_mut(), Accum::Add, self.v.as_ref(), s.as_ref(), -0.5);
+        let mut right = Dense::unwritten(n, 2 * rank);
+        let (mut first, mut second) = right.view_mut().split_at_col_mut(rank);
+        first.copy_from(&self.v);
+        second.copy_from(x);
+        // [X V] [V X]^T at once, below the diagonal in panels of columns.
+        let (left, right) = (left.view(), right.view());
+        let mut a = a.view_mut();
+        for start in (0..n).step_by(PANEL) {
+            let width = PANEL.min(n - start);
+            product(
+                a.rb_mut().submatrix_mut(start, start, n - start, width),
+                Accum::Add,
+                left.subrows(start, n - start),
+                right.subrows(start, width).transpose(),
+                -1.0,
+            );
+        }
     }
 
     /// `B <- [0 B] Q^T` for a `B` that lacks the first `rank` columns (they are zero).
@@ -226,6 +242,7 @@ impl Orthogonal {
 }
 
 /// Inner product, summed in four lanes.
+#[inline(always)]
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (a4, b4) = (a.chunks_exact(4), b.chunks_exact(4));
     let rest: f64 = a4
@@ -241,6 +258,18 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
         }
     }
     (lanes[0] + lanes[2]) + (lanes[1] + lanes[3]) + rest
+}
+
+/// A matrix to be factored; made for each kind of processor.
+struct Factoring(Mat<f64>);
+
+impl NullaryFnOnce for Factoring {
+    type Output = Orthogonal;
+
+    #[inline(always)]
+    fn call(self) -> Orthogonal {
+        Orthogonal::factored(self.0)
+    }
 }
 
 fn product(
@@ -286,30 +315,32 @@ mod tests {
 
     #[test]
     fn conjugation_and_completion_agree_with_single_vectors() {
-        let q = Orthogonal::new(sample(9, 3, false));
-        let full = Mat::from_fn(9, 9, |i, j| {
+        const N: usize = 2 * PANEL + 9;
+        let q = Orthogonal::new(sample(N, 3, false));
+        let mut expected = Mat::from_fn(N, N, |i, j| {
             ((i + j) as f64).cos() + if i == j { 3.0 } else { 0.0 }
         });
-        let mut conjugated = full.clone();
-        q.conjugate(conjugated.as_mut());
-        let mut expected = full.clone();
+        let mut conjugated = Dense::unwritten(N, N);
+        conjugated.view_mut().copy_from(&expected);
+        q.conjugate(&mut conjugated);
         for _ in 0..2 {
-            for j in 0..9 {
+            for j in 0..N {
                 let mut column: Vec<f64> = expected.col(j).iter().copied().collect();
                 q.apply_transposed(&mut column);
-                for i in 0..9 {
+                for i in 0..N {
                     expected[(i, j)] = column[i];
                 }
             }
             expected = expected.transpose().to_owned();
         }
-        let b = sample(5, 6, false);
-        let completed = q.complete_right(&b);
-        for i in 0..9 {
-            for j in 0..9 {
-                assert!((conjugated[(i, j)] - expected[(i, j)]).abs() < 1e-12);
+        for j in 0..N {
+            for i in j..N {
+                assert!((conjugated.column(j)[i] - expected[(i, j)]).abs() < 1e-12);
             }
         }
+        let q = Orthogonal::new(sample(9, 3, false));
+        let b = sample(5, 6, false);
+        let completed = q.complete_right(&b);
         for i in 0..5 {
             let mut row = vec![0.0; 9];
             for j in 0..6 {
