@@ -302,28 +302,45 @@ fn refine(solid: Solid, point: &Vec3, start: Vec3) -> Vec3 {
     walk(solid, point, begin)
 }
 
-/// Walks along the surface towards the foot in tangential steps, halving a step that does not bring it nearer.
+/// Walks along the surface towards the foot in Newton steps within the tangent plane, each no longer than a
+/// reach that is halved when a step does not bring it nearer and doubled when it does. Near a focal point the
+/// distance bends a thousandfold less across than along, so that steps down its slope would zigzag; where it bends
+/// the wrong way, the step goes down all the same.
 fn walk(solid: Solid, point: &Vec3, begin: Vec3) -> Vec3 {
     let mut q = begin;
-    let mut pace = 1.0;
+    let mut reach_mm = CELL_MM;
     for _ in 0..200 {
-        let normal = crate::mesh::unit_or_zero(solid.field(Jet::coordinates(&q)).gradient);
+        let f = solid.field(Jet::coordinates(&q));
         let to_point = point - q;
-        let tangential = to_point - normal * to_point.dot(&normal);
-        if tangential.norm() < 1e-10 || pace < 1e-6 {
+        let multiplier = to_point.dot(&f.gradient) / f.gradient.norm_squared().max(1e-12);
+        let tangents = tangents(&crate::mesh::unit_or_zero(f.gradient));
+        let slope = tangents.transpose() * to_point;
+        if slope.norm() < 1e-10 || reach_mm < 1e-6 {
             break;
         }
-        let step = tangential * pace;
-        let step = step * (CELL_MM / step.norm()).min(1.0);
+        let hessian = nalgebra::Matrix3::identity() + f.hessian * multiplier;
+        let bends = (tangents.transpose() * hessian * tangents).symmetric_eigen();
+        let mut along = bends.eigenvectors.transpose() * slope;
+        for (part, bend) in along.iter_mut().zip(&bends.eigenvalues) {
+            *part /= bend.abs().max(1e-9);
+        }
+        let step = tangents * bends.eigenvectors * along;
+        let step = step * (reach_mm / step.norm()).min(1.0);
         let next = tetrahedra::onto_surface(solid, q + step, CELL_MM);
         if (point - next).norm() < to_point.norm() {
             q = next;
-            pace = (pace * 1.5f64).min(4.0);
+            reach_mm = (reach_mm * 2.0).min(CELL_MM);
         } else {
-            pace *= 0.5;
+            reach_mm = 0.5 * reach_mm.min(step.norm());
         }
     }
     q
+}
+
+/// Two unit vectors at right angles to a unit normal and to each other.
+fn tangents(normal: &Vec3) -> nalgebra::Matrix3x2<f64> {
+    let first = crate::mesh::unit_or_zero(normal.cross(&Vec3::ith(normal.iamin(), 1.0)));
+    nalgebra::Matrix3x2::from_columns(&[first, normal.cross(&first)])
 }
 
 #[cfg(test)]

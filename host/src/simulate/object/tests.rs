@@ -57,6 +57,20 @@ proptest! {
         let ring = (x.hypot(y) - 60.0).hypot(z) - 28.0;
         prop_assert!((torus.distance_mm - ring).abs() < 1e-8);
     }
+
+    #[test]
+    fn closed_forms_agree_near_focal_points(
+        x in -1.0..1.0f64, y in -1.0..1.0f64, z in -1.0..1.0f64,
+        exponent in -3.0..1.0f64, azimuth in 0.0..6.2f64,
+    ) {
+        let off = Vec3::new(x, y, z) * 10f64.powf(exponent);
+        let sphere = object("sphere").foot(&off);
+        prop_assert!((sphere.distance_mm - (off.norm() - 60.0)).abs() < 1e-8, "{}", sphere.distance_mm);
+        let near_core = Vec3::new(azimuth.cos(), azimuth.sin(), 0.0) * 60.0 + off;
+        let torus = object("torus").foot(&near_core);
+        let ring = (near_core.x.hypot(near_core.y) - 60.0).hypot(near_core.z) - 28.0;
+        prop_assert!((torus.distance_mm - ring).abs() < 1e-8, "{} {ring}", torus.distance_mm);
+    }
 }
 
 #[test]
