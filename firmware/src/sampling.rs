@@ -136,10 +136,12 @@ impl Sampling {
                 self.unchanged[gauge] = 0;
                 continue;
             }
+            // One chip of several may be late: it repeats its count, which then says nothing.
+            let converted = fresh && !flags[gauge].contains(GaugeFlags::LATE);
             if late {
                 flags[gauge].insert(GaugeFlags::LATE);
             }
-            if fresh {
+            if converted {
                 let same = sample.counts[gauge] == self.last_counts[gauge];
                 self.unchanged[gauge] = if same {
                     self.unchanged[gauge].saturating_add(1)

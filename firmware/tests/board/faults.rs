@@ -138,6 +138,14 @@ fn old_and_saturated_readings_have_their_own_names_and_are_not_called_stuck() {
     }
     let (_, gauges) = bench.statistics();
     assert!(gauges[0].stuck == 0 && gauges[0].late == 39, "{gauges:?}");
+    // Nor does one that has nothing new of one gauge alone, while the others go on.
+    let mut bench = Bench::<RamStore>::ready();
+    bench.board.gauges_mut().noise = 0;
+    bench.board.gauges_mut().flags[5] = GaugeFlags::LATE;
+    bench.run(40);
+    let (_, gauges) = bench.statistics();
+    assert!(gauges[5].stuck == 0 && gauges[5].late == 40, "{gauges:?}");
+    assert!(gauges[4].stuck > 0, "{gauges:?}");
 }
 
 #[test]
