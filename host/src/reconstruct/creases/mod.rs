@@ -14,6 +14,7 @@
 //! fewer than eight points, and creases sharper than about 135 degrees of turn.
 
 mod cut;
+mod ramp;
 mod regions;
 mod sheet;
 mod tidy;

@@ -5,10 +5,12 @@
 //! as the points are dense enough to follow; at a crease the prediction fails on both sides. It also fails where
 //! a surface bends faster than the points show, so every boundary between two regions is tried:
 //! it is a crease only where both sheets, carried on from their own side, meet between the points at an
-//! angle, and no point near by contradicts them. Regions on both sides of any other boundary are joined, unless both
+//! angle, no point near by contradicts them, and the points beside it do not turn gradually (`ramp`: on the lip of a mug, of
+//! two spacings' radius, sheets bend so far that what is left between them looks like an edge). Regions on both sides of any other boundary are joined, unless both
 //! break with others: such sheets are what they seem, and stay apart where nothing shows that one goes on as the other.
 //! What a gap parts joins again if one plane explains both sides, or the quadric of a large region a small one.
 
+use super::ramp;
 use super::sheet::{Piece, Scatter, Sheet, meet};
 use crate::Vec3;
 use crate::cloud::{Cloud, Neighbourhoods, OrientedPoint};
@@ -54,6 +56,15 @@ const SHARE_MIN: f64 = 0.7;
 /// points on a mug's bottom rounding, of a spacing's radius, seemed to end in one of 40.
 const PATCH_MAX: usize = 20;
 const PATCH_TURN: f64 = 0.87;
+/// Mean squared residual, in variances and against the degrees of freedom, up to which a plane or quadric explains a region.
+const EXPLAINED: f64 = 1.5;
+/// Distance from an edge, in spacings, within which points show whether it is one; the same along the edge, from the middle of a stretch.
+const EDGE_SIGHT: f64 = 3.5;
+const STRETCH: f64 = 5.0;
+/// Standard deviations by which points may lie nearer to an edge or farther from it than they seem to.
+const BLUR: f64 = 3.0;
+/// Least cosine between normals on one side of a wall.
+const FACING: f64 = 0.2;
 
 /// Points in smooth regions.
 pub(super) struct Regions<'a> {
@@ -211,13 +222,7 @@ impl<'a> Regions<'a> {
     /// Sorts the points of every region for quick look-ups; again whenever regions have joined.
     fn sort_members(&mut self) {
         self.index.clear();
-        let mut members: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
-        for (i, l) in self.label.iter().enumerate() {
-            if *l != NONE {
-                members.entry(*l).or_default().push(i as u32);
-            }
-        }
-        for (l, points) in members {
+        for (l, points) in self.members() {
             let tree = Neighbourhoods::new(
                 points
                     .iter()
@@ -226,6 +231,17 @@ impl<'a> Regions<'a> {
             );
             self.index.insert(l, Members { tree, points });
         }
+    }
+
+    /// The points of each region.
+    fn members(&self) -> BTreeMap<u32, Vec<u32>> {
+        let mut members: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+        for (i, l) in self.label.iter().enumerate() {
+            if *l != NONE {
+                members.entry(*l).or_default().push(i as u32);
+            }
+        }
+        members
     }
 
     /// Whether `sheet` predicts `point`, whose distance to the nearest point of the sheet is `gap`.
@@ -329,7 +345,9 @@ impl<'a> Regions<'a> {
                 let least = [usize::MAX, PLACES_MIN, 1][known(b)];
                 b.is_sharp() || b.sharp >= least && b.mostly_sharp()
             };
-            let apart = |b: &Boundary| is_sharp(b) || known(b) == 2 && 2 * b.smooth <= b.places;
+            let apart = |b: &Boundary| {
+                is_sharp(b) || known(b) == 2 && 2 * b.smooth <= b.places && !b.rounded
+            };
             let count = self
                 .label
                 .iter()
@@ -380,16 +398,18 @@ impl<'a> Regions<'a> {
     /// The points of a region with their scatter.
     fn places(&self, region: u32) -> Vec<Place> {
         let points = self.index.get(&region).map(|m| m.points.as_slice());
-        let place = |i: &u32| {
-            let p = &self.points[*i as usize];
-            Place {
-                position: p.position,
-                normal: p.normal,
-                sigma: self.scatter.position,
-                tilt: self.scatter.normal,
-            }
-        };
-        points.unwrap_or_default().iter().map(place).collect()
+        let points = points.unwrap_or_default().iter();
+        points.map(|i| self.place(*i)).collect()
+    }
+
+    fn place(&self, point: u32) -> Place {
+        let p = &self.points[point as usize];
+        Place {
+            position: p.position,
+            normal: p.normal,
+            sigma: self.scatter.position,
+            tilt: self.scatter.normal,
+        }
     }
 
     /// The regions that break with others, rising.
@@ -529,12 +549,7 @@ impl<'a> Regions<'a> {
     /// A small region that a gap in the data cuts off from its sheet joins the region whose sheet, carried
     /// on across the gap, predicts most of its points.
     fn join_fragments(&mut self) {
-        let mut members: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
-        for (i, l) in self.label.iter().enumerate() {
-            if *l != NONE {
-                members.entry(*l).or_default().push(i);
-            }
-        }
+        let members = self.members();
         let mut small: Vec<(usize, u32)> = members
             .iter()
             .filter(|(_, m)| m.len() < FRAGMENT_MAX)
@@ -632,35 +647,111 @@ impl<'a> Regions<'a> {
             }
         }
         places.sort_unstable();
-        let mut out: Vec<Boundary> = Vec::new();
-        for (regions, i, j) in places {
-            let meeting = self.meeting(regions, i, j);
-            if out.last().is_none_or(|b| b.regions != regions) {
-                let size = |region| self.label.iter().filter(|l| **l == region).count();
-                out.push(Boundary {
-                    regions,
-                    least: size(regions[0]).min(size(regions[1])),
-                    places: 0,
-                    sharp: 0,
-                    smooth: 0,
-                    turn: 0.0,
-                });
-            }
-            if let Some(b) = out.last_mut() {
-                b.places += 1;
+        let members = self.members();
+        let mut explained: BTreeMap<u32, bool> = BTreeMap::new();
+        let same = |a: &([u32; 2], u32, u32), b: &([u32; 2], u32, u32)| a.0 == b.0;
+        let mut out = Vec::new();
+        for places in places.chunk_by(same) {
+            let regions = places[0].0;
+            let mut boundary = Boundary {
+                regions,
+                least: regions
+                    .map(|r| members[&r].len())
+                    .into_iter()
+                    .fold(usize::MAX, usize::min),
+                places: 0,
+                sharp: 0,
+                smooth: 0,
+                turn: 0.0,
+                rounded: false,
+            };
+            let mut crossings = Vec::new();
+            for &(regions, i, j) in places {
+                let meeting = self.meeting(regions, i, j);
                 let turn = match meeting {
-                    Meeting::Angle(turn) => turn,
+                    Meeting::Angle(crossing) => crossing.turn(),
                     Meeting::Smooth | Meeting::Contradicted => 0.0,
                 };
-                if turn > turn_min {
-                    b.sharp += 1;
-                } else if meeting != Meeting::Contradicted {
-                    b.smooth += 1;
+                boundary.places += 1;
+                match meeting {
+                    Meeting::Angle(crossing) if turn > turn_min => {
+                        boundary.sharp += 1;
+                        crossings.push(crossing);
+                    }
+                    Meeting::Contradicted => {}
+                    _ => boundary.smooth += 1,
                 }
-                b.turn += (turn - b.turn) / b.places as f64;
+                boundary.turn += (turn - boundary.turn) / boundary.places as f64;
             }
+            let mut unexplained = regions.map(|region| {
+                let own = &members[&region];
+                let is_one = explained
+                    .entry(region)
+                    .or_insert_with(|| self.explained(own));
+                (!*is_one).then_some(own.len())
+            });
+            unexplained.sort_unstable();
+            boundary.rounded = !crossings.is_empty()
+                && match unexplained {
+                    [None, None] => false,
+                    [None, Some(least)] | [Some(least), Some(_)] if least < FRAGMENT_MAX => true,
+                    _ => self.is_rounded(&crossings),
+                };
+            out.push(boundary);
         }
         out
+    }
+
+    /// Whether one plane or quadric explains points of a region.
+    fn explained(&self, points: &[u32]) -> bool {
+        let places: Vec<Place> = points.iter().map(|i| self.place(*i)).collect();
+        let free = (3 * places.len()).saturating_sub(10) as f64;
+        QuadricFit::quadric(&places).is_some_and(|fit| fit.misfit < EXPLAINED * free)
+    }
+
+    /// Whether the normals turn gradually where two sheets seem to cross, or too few points tell.
+    fn is_rounded(&self, crossings: &[Crossing]) -> bool {
+        let edge = Neighbourhoods::new(crossings.iter().map(|c| c.at).collect());
+        let mut near: Vec<usize> = crossings
+            .iter()
+            .flat_map(|c| self.tree.within(&c.at, EDGE_SIGHT * self.spacing))
+            .map(|(point, _)| point)
+            .collect();
+        near.sort_unstable();
+        near.dedup();
+        let seen = |point: usize| {
+            let point = &self.points[point];
+            let (crossing, _) = edge.nearest_one(&point.position)?;
+            let crossing = &crossings[crossing];
+            let [a, b] = &crossing.normals;
+            if point.normal.dot(&(a + b).normalize()) < FACING {
+                return None;
+            }
+            let towards = (b - a * a.dot(b)).normalize();
+            let seen = ramp::Seen {
+                side: crossing.across.dot(&(point.position - crossing.at)) / self.spacing,
+                angle: point.normal.dot(&towards).atan2(point.normal.dot(a)),
+                turn: crossing.turn(),
+            };
+            Some((point.position, seen))
+        };
+        let (places, seen): (Vec<Vec3>, Vec<ramp::Seen>) =
+            near.into_iter().filter_map(seen).unzip();
+        // Lines along the whole edge would have to follow all that its sheets do.
+        let tree = Neighbourhoods::new(places.clone());
+        let mut taken = vec![false; seen.len()];
+        let mut stretches: Vec<Vec<ramp::Seen>> = Vec::new();
+        for middle in 0..seen.len() {
+            if taken[middle] {
+                continue;
+            }
+            let around = tree.within(&places[middle], STRETCH * self.spacing);
+            let free = around.into_iter().map(|(point, _)| point);
+            let free = free.filter(|point| !std::mem::replace(&mut taken[*point], true));
+            stretches.push(free.map(|point| seen[point]).collect());
+        }
+        let blur = BLUR * self.scatter.position / self.spacing;
+        ramp::is_likelier(&stretches, blur).unwrap_or(true)
     }
 
     /// How the sheets of two regions meet between points `i` and `j`.
@@ -709,16 +800,41 @@ impl<'a> Regions<'a> {
         if ends.iter().any(|e| !e.is_finite()) || against * 5 > near {
             return Meeting::Contradicted;
         }
-        let (m, n) = (a.normal(&x), b.normal(&x));
-        Meeting::Angle(m.cross(&n).norm().atan2(m.dot(&n)))
+        let normals = [a.normal(&x), b.normal(&x)];
+        let [m, n] = &normals;
+        let across = m.cross(n).cross(&(m + n));
+        let across = across * across.dot(&(q.position - p.position)).signum();
+        Meeting::Angle(Crossing {
+            at: x,
+            normals,
+            across: across.try_normalize(0.0).unwrap_or_default(),
+        })
+    }
+}
+
+/// Where two sheets meet at an angle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Crossing {
+    at: Vec3,
+    /// Of the two sheets.
+    normals: [Vec3; 2],
+    /// Unit vector across the edge, from the first sheet to the second.
+    across: Vec3,
+}
+
+impl Crossing {
+    /// The angle, radians.
+    fn turn(&self) -> f64 {
+        let [m, n] = &self.normals;
+        m.cross(n).norm().atan2(m.dot(n))
     }
 }
 
 /// How two sheets meet at one place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Meeting {
-    /// At this angle, radians.
-    Angle(f64),
+    /// At an angle.
+    Angle(Crossing),
     /// They do not, though there are points of both: one goes on as the other.
     Smooth,
     /// Points near by contradict them, or end before the place.
@@ -739,19 +855,23 @@ struct Boundary {
     smooth: usize,
     /// Mean angle, radians.
     turn: f64,
+    /// Whether what seems to be an edge is rounded: the normals turn gradually, or a small region beside it is no sheet.
+    rounded: bool,
 }
 
 impl Boundary {
     /// Whether most places are sharp, or, where points near by contradict many, two fifths are and hardly any is smooth
     /// (around a cylinder's lid of 60 noisy contacts 58 of 130 places are sharp, and none is smooth).
     fn mostly_sharp(&self) -> bool {
-        2 * self.sharp > self.places
-            || 5 * self.sharp > 2 * self.places && self.sharp > 4 * self.smooth
+        let most = 2 * self.sharp > self.places
+            || 5 * self.sharp > 2 * self.places && self.sharp > 4 * self.smooth;
+        most && !self.rounded
     }
 
     /// Whether it shows by itself that the surface breaks there.
     fn is_sharp(&self) -> bool {
-        self.sharp >= PLACES_MIN
+        !self.rounded
+            && self.sharp >= PLACES_MIN
             && self.sharp as f64 >= SHARE_MIN * self.places as f64
             && (self.least >= PATCH_MAX || self.turn >= PATCH_TURN)
     }
@@ -760,6 +880,7 @@ impl Boundary {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{RngExt, SeedableRng};
 
     fn boundary(least: usize, [places, sharp, smooth]: [usize; 3], degrees: f64) -> Boundary {
         Boundary {
@@ -769,6 +890,7 @@ mod tests {
             sharp,
             smooth,
             turn: degrees.to_radians(),
+            rounded: false,
         }
     }
 
@@ -813,6 +935,56 @@ mod tests {
             }
         }
         cloud
+    }
+
+    /// Tracks over the edge between a cylinder's side and its lid, rounded with `radius`: noise of a sixth of their step.
+    fn tracks_over_a_rim(radius: f64, seed: u64) -> Cloud {
+        let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        // Nearly normal, of variance 1.
+        let mut noise = move || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
+        let mut cloud = Cloud::default();
+        let (step, rounding) = (0.029, radius * std::f64::consts::FRAC_PI_2);
+        for track in 0..28 {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(track) / 28.0).sin_cos();
+            let mut way = -0.5 + 0.01 * noise();
+            while way < rounding + 0.2 {
+                // Distance from the axis and height along the track, and the normal's slope.
+                let turned = (way.clamp(0.0, rounding) / radius.max(1e-9)).min(1.6);
+                let turned = if radius > 0.0 {
+                    turned
+                } else {
+                    f64::from(u8::from(way > 0.0)) * 1.570_796
+                };
+                let along = (way - rounding).max(0.0);
+                let inner = 0.35 - radius;
+                let out = inner + radius * turned.cos() - along;
+                let up = 0.8 - radius + radius * turned.sin() + way.min(0.0);
+                let jitter = |sigma: f64, noise: &mut dyn FnMut() -> f64| {
+                    Vec3::new(noise(), noise(), noise()) * sigma
+                };
+                let normal = Vec3::new(cos * turned.cos(), sin * turned.cos(), turned.sin());
+                cloud.points.push(OrientedPoint {
+                    position: Vec3::new(cos * out, sin * out, up) + jitter(0.005, &mut noise),
+                    normal: (normal + jitter(0.052, &mut noise)).normalize(),
+                    sigma: None,
+                    finger: None,
+                    time_us: None,
+                });
+                way += step;
+            }
+        }
+        cloud
+    }
+
+    #[test]
+    fn a_rim_rounded_by_two_spacings_is_no_edge_and_a_sharp_one_is() {
+        for seed in 0..8 {
+            let rounded = tracks_over_a_rim(0.05, seed);
+            let found = Regions::new(&rounded, 0.6).sharp;
+            assert!(found.is_empty(), "{seed}: {found:?}");
+            let sharp = tracks_over_a_rim(0.0, seed);
+            assert_eq!(Regions::new(&sharp, 0.6).sharp.len(), 1, "{seed}");
+        }
     }
 
     #[test]
