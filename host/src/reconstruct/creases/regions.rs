@@ -881,6 +881,7 @@ impl Boundary {
 mod tests {
     use super::*;
     use rand::{RngExt, SeedableRng};
+    use std::f64::consts::{FRAC_PI_2, TAU};
 
     fn boundary(least: usize, [places, sharp, smooth]: [usize; 3], degrees: f64) -> Boundary {
         Boundary {
@@ -937,40 +938,36 @@ mod tests {
         cloud
     }
 
-    /// Tracks over the edge between a cylinder's side and its lid, rounded with `radius`: noise of a sixth of their step.
+    /// Tracks over the edge between a cylinder's side and its lid, rounded with `radius`; noise of a sixth of their step.
     fn tracks_over_a_rim(radius: f64, seed: u64) -> Cloud {
+        const STEP: f64 = 0.029;
         let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         // Nearly normal, of variance 1.
         let mut noise = move || (0..12).map(|_| random.random::<f64>()).sum::<f64>() - 6.0;
         let mut cloud = Cloud::default();
-        let (step, rounding) = (0.029, radius * std::f64::consts::FRAC_PI_2);
         for track in 0..28 {
-            let (sin, cos) = (std::f64::consts::TAU * f64::from(track) / 28.0).sin_cos();
+            let (sin, cos) = (TAU * f64::from(track) / 28.0).sin_cos();
+            // From half way up the side to the middle of the lid.
             let mut way = -0.5 + 0.01 * noise();
-            while way < rounding + 0.2 {
-                // Distance from the axis and height along the track, and the normal's slope.
-                let turned = (way.clamp(0.0, rounding) / radius.max(1e-9)).min(1.6);
-                let turned = if radius > 0.0 {
-                    turned
-                } else {
-                    f64::from(u8::from(way > 0.0)) * 1.570_796
+            while way < radius * FRAC_PI_2 + 0.2 {
+                let lid = (way - radius * FRAC_PI_2).max(0.0);
+                let turned = match way {
+                    way if way <= 0.0 => 0.0,
+                    _ if lid > 0.0 => FRAC_PI_2,
+                    way => way / radius,
                 };
-                let along = (way - rounding).max(0.0);
-                let inner = 0.35 - radius;
-                let out = inner + radius * turned.cos() - along;
+                let out = 0.35 - radius + radius * turned.cos() - lid;
                 let up = 0.8 - radius + radius * turned.sin() + way.min(0.0);
-                let jitter = |sigma: f64, noise: &mut dyn FnMut() -> f64| {
-                    Vec3::new(noise(), noise(), noise()) * sigma
-                };
+                let mut jitter = |sigma: f64| Vec3::new(noise(), noise(), noise()) * sigma;
                 let normal = Vec3::new(cos * turned.cos(), sin * turned.cos(), turned.sin());
                 cloud.points.push(OrientedPoint {
-                    position: Vec3::new(cos * out, sin * out, up) + jitter(0.005, &mut noise),
-                    normal: (normal + jitter(0.052, &mut noise)).normalize(),
+                    position: Vec3::new(cos * out, sin * out, up) + jitter(STEP / 6.0),
+                    normal: (normal + jitter(0.052)).normalize(),
                     sigma: None,
                     finger: None,
                     time_us: None,
                 });
-                way += step;
+                way += STEP;
             }
         }
         cloud
