@@ -17,7 +17,7 @@ use crate::cloud::{Cloud, Neighbourhoods, OrientedPoint};
 use crate::mesh::NONE;
 use crate::mesh::topology::Union;
 use crate::reconstruct::quadric::{Place, QuadricFit};
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Neighbours of a point, for growing and for boundaries.
 const NEIGHBOURS: usize = 14;
@@ -331,22 +331,29 @@ impl<'a> Regions<'a> {
             // A sheet that breaks with some other is no bend that is faster than the points show: what counts at its
             // other boundaries is what most places say, or nearly all of those that are not contradicted, and between two
             // such sheets one place is enough.
-            let mut edged: Vec<u32> = (pairs.iter().filter(|b| b.is_sharp()))
+            let mut edged: BTreeSet<u32> = (pairs.iter().filter(|b| b.is_sharp()))
                 .flat_map(|b| b.regions)
                 .collect();
-            edged.sort_unstable();
-            let known = |b: &Boundary| {
-                b.regions
-                    .map(|r| usize::from(edged.binary_search(&r).is_ok()))
-                    .iter()
-                    .sum::<usize>()
-            };
-            let is_sharp = |b: &Boundary| {
-                let least = [usize::MAX, PLACES_MIN, 1][known(b)];
-                b.is_sharp() || b.sharp >= least && b.mostly_sharp()
-            };
+            // Likewise a plane or quadric that breaks with such a sheet by what most places say: so are the faces of which contacts
+            // near their edges contradict much.
+            loop {
+                let breaking = pairs.iter().filter(|b| b.breaks_among(&edged));
+                let faces: Vec<u32> = breaking
+                    .flat_map(|b| {
+                        (0..2)
+                            .filter(|side| b.whole[*side])
+                            .map(|side| b.regions[side])
+                    })
+                    .filter(|region| !edged.contains(region))
+                    .collect();
+                if faces.is_empty() {
+                    break;
+                }
+                edged.extend(faces);
+            }
+            let is_sharp = |b: &Boundary| b.breaks_among(&edged);
             let apart = |b: &Boundary| {
-                is_sharp(b) || known(b) == 2 && 2 * b.smooth <= b.places && !b.rounded
+                is_sharp(b) || b.known(&edged) == 2 && 2 * b.smooth <= b.places && !b.rounded
             };
             let count = self
                 .label
@@ -360,9 +367,11 @@ impl<'a> Regions<'a> {
                 .filter(|b| is_sharp(b))
                 .map(|b| b.regions)
                 .collect();
-            // The least sharp boundaries vanish first; none may vanish that would join across a sharp one.
+            // The least sharp boundaries vanish first; none may vanish that would join across a sharp one, nor join two sheets that break
+            // with others by way of a scrap between them: what is left of it is asked again in the next round.
             pairs.retain(|b| !apart(b));
             pairs.sort_by(|a, b| a.turn.total_cmp(&b.turn).then(a.regions.cmp(&b.regions)));
+            let mut breaks: Vec<bool> = (0..count).map(|r| edged.contains(&(r as u32))).collect();
             let mut joined = false;
             for b in &pairs {
                 let [a, c] = b.regions.map(|r| set.root(r as usize));
@@ -370,8 +379,11 @@ impl<'a> Regions<'a> {
                     let [s, t] = s.map(|r| set.root(r as usize));
                     (s, t) == (a, c) || (t, s) == (a, c)
                 });
-                if a != c && !broken {
+                let by_a_scrap = breaks[a] && breaks[c] && b.known(&edged) < 2;
+                if a != c && !broken && !by_a_scrap {
                     set.join(a, c);
+                    let root = set.root(a);
+                    breaks[root] = breaks[a] || breaks[c];
                     joined = true;
                 }
             }
@@ -663,6 +675,7 @@ impl<'a> Regions<'a> {
                 sharp: 0,
                 smooth: 0,
                 turn: 0.0,
+                whole: [false; 2],
                 rounded: false,
             };
             let mut crossings = Vec::new();
@@ -683,13 +696,12 @@ impl<'a> Regions<'a> {
                 }
                 boundary.turn += (turn - boundary.turn) / boundary.places as f64;
             }
-            let mut unexplained = regions.map(|region| {
-                let own = &members[&region];
-                let is_one = explained
-                    .entry(region)
-                    .or_insert_with(|| self.explained(own));
-                (!*is_one).then_some(own.len())
+            boundary.whole = regions.map(|region| {
+                let whole = explained.entry(region);
+                *whole.or_insert_with(|| self.explained(&members[&region]))
             });
+            let mut unexplained =
+                [0, 1].map(|k| (!boundary.whole[k]).then(|| members[&regions[k]].len()));
             unexplained.sort_unstable();
             boundary.rounded = !crossings.is_empty()
                 && match unexplained {
@@ -855,6 +867,8 @@ struct Boundary {
     smooth: usize,
     /// Mean angle, radians.
     turn: f64,
+    /// Whether each region is one plane or quadric.
+    whole: [bool; 2],
     /// Whether what seems to be an edge is rounded: the normals turn gradually, or a small region beside it is no sheet.
     rounded: bool,
 }
@@ -866,6 +880,17 @@ impl Boundary {
         let most = 2 * self.sharp > self.places
             || 5 * self.sharp > 2 * self.places && self.sharp > 4 * self.smooth;
         most && !self.rounded
+    }
+
+    /// How many of its regions are `edged`: break with some other.
+    fn known(&self, edged: &BTreeSet<u32>) -> usize {
+        self.regions.iter().filter(|r| edged.contains(r)).count()
+    }
+
+    /// Whether the surface breaks there, by what is known of its regions.
+    fn breaks_among(&self, edged: &BTreeSet<u32>) -> bool {
+        let least = [usize::MAX, PLACES_MIN, 1][self.known(edged)];
+        self.is_sharp() || self.sharp >= least && self.mostly_sharp()
     }
 
     /// Whether it shows by itself that the surface breaks there.
@@ -891,6 +916,7 @@ mod tests {
             sharp,
             smooth,
             turn: degrees.to_radians(),
+            whole: [false; 2],
             rounded: false,
         }
     }
@@ -909,6 +935,27 @@ mod tests {
         assert!(!boundary(59, [130, 58, 20], 40.0).mostly_sharp());
         assert!(!boundary(59, [130, 40, 0], 40.0).mostly_sharp());
         assert!(!boundary(59, [130, 58, 0], 40.0).is_sharp());
+    }
+
+    #[test]
+    fn beside_sheets_that_break_with_others_most_places_count() {
+        // A face of a hexagonal prism with 18 contacts, beside two other faces.
+        let [some, few] = [[38, 20, 0], [27, 8, 0]].map(|places| boundary(18, places, 32.0));
+        let edged = |regions: &[u32]| regions.iter().copied().collect::<BTreeSet<u32>>();
+        for (regions, breaks) in [
+            (&[][..], false),
+            (&[5], false),
+            (&[0], true),
+            (&[0, 1], true),
+        ] {
+            assert_eq!(some.breaks_among(&edged(regions)), breaks, "{regions:?}");
+            assert!(!few.breaks_among(&edged(regions)));
+        }
+        let rounded = Boundary {
+            rounded: true,
+            ..some
+        };
+        assert!(!rounded.breaks_among(&edged(&[0, 1])));
     }
 
     /// The side of a cylinder from z = 0 to 1, and its lid there.
