@@ -81,3 +81,24 @@ impl Cloud {
             .map_or(0.0, |(low, high)| (high - low).norm())
     }
 }
+
+/// Exact points spread evenly over the unit ball's surface, for tests.
+#[cfg(test)]
+pub(crate) fn unit_ball(count: usize) -> Cloud {
+    let point = |k: usize| {
+        let z = 1.0 - (2 * k + 1) as f64 / count as f64;
+        let (sin, cos) = (2.399_963_229_728_653 * k as f64).sin_cos();
+        let normal = Vec3::new(cos * (1.0 - z * z).sqrt(), sin * (1.0 - z * z).sqrt(), z);
+        OrientedPoint {
+            position: normal,
+            normal,
+            sigma: None,
+            finger: None,
+            time_us: None,
+        }
+    };
+    Cloud {
+        points: (0..count).map(point).collect(),
+        rejected: Vec::new(),
+    }
+}

@@ -85,25 +85,10 @@ impl PointSet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cloud::OrientedPoint;
+    use crate::cloud::{OrientedPoint, unit_ball};
 
     fn sphere(count: usize) -> PointSet {
-        let point = |k: usize| {
-            let z = 1.0 - (2 * k + 1) as f64 / count as f64;
-            let (sin, cos) = (2.399_963_229_728_653 * k as f64).sin_cos();
-            let normal = Vec3::new(cos * (1.0 - z * z).sqrt(), sin * (1.0 - z * z).sqrt(), z);
-            OrientedPoint {
-                position: normal,
-                normal,
-                sigma: None,
-                finger: None,
-                time_us: None,
-            }
-        };
-        PointSet::new(&Cloud {
-            points: (0..count).map(point).collect(),
-            rejected: vec![],
-        })
+        PointSet::new(&unit_ball(count))
     }
 
     #[test]

@@ -1105,32 +1105,11 @@ pub(super) fn judge(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cloud::OrientedPoint;
-
-    /// Contacts spread over a ball.
-    fn ball(count: u32) -> Cloud {
-        let contact = |k: u32| {
-            let z = 1.0 - (2.0 * f64::from(k) + 1.0) / f64::from(count);
-            let (sin, cos) = (2.399_963 * f64::from(k)).sin_cos();
-            let out = (1.0 - z * z).sqrt();
-            let normal = Vec3::new(out * cos, out * sin, z);
-            OrientedPoint {
-                position: normal,
-                normal,
-                sigma: None,
-                finger: None,
-                time_us: None,
-            }
-        };
-        Cloud {
-            points: (0..count).map(contact).collect(),
-            ..Cloud::default()
-        }
-    }
+    use crate::cloud::unit_ball;
 
     #[test]
     fn a_surface_with_edges_is_torn_if_a_smooth_one_has_far_fewer_patches() {
-        let cloud = ball(300);
+        let cloud = unit_ball(300);
         let torn = |patches| is_torn(patches, &cloud, &Options::default(), &|_| ()).unwrap();
         assert!(torn(400));
         assert!(!torn(90), "few enough not to be asked");
@@ -1141,7 +1120,7 @@ mod tests {
         };
         let smooth = run(&cloud, &smooth, &|_| ()).unwrap().simplified.unwrap();
         let patches = smooth.faces.len();
-        let crowded = ball(3 * u32::try_from(patches).unwrap());
+        let crowded = unit_ball(3 * patches);
         assert!(!is_torn(patches + 1, &crowded, &Options::default(), &|_| ()).unwrap());
     }
 }

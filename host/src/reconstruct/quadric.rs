@@ -138,6 +138,13 @@ impl QuadricFit {
         })
     }
 
+    /// Whether what is left of the `count` places that this quadric was fitted to is no more than their scatter, its coefficients
+    /// allowed for.
+    pub(super) fn explains_its_own(&self, count: usize) -> bool {
+        let free = (3 * count).saturating_sub(QUADRIC);
+        self.misfit < EXPLAINED * free as f64
+    }
+
     /// Standard deviation of the value at `x`.
     pub(super) fn sigma(&self, x: &Vec3) -> f64 {
         let m = monomials(&self.quadric.inward(x));

@@ -3,8 +3,8 @@
 //! The normals' angle over the distance from the edge is fitted twice: with a line on each side, which leaves a jump between them,
 //! and with lines that end at -w and begin at w, and a ramp that joins them. At an edge that is one no ramp explains the angles better;
 //! where the edge is rounded with a radius of a spacing or two, one leaves a third of what the jump leaves. Wider roundings
-//! are followed by the sheets themselves. Positions are noisy across the
-//! edge, too, where an angle may be right of either sheet: so each point may choose, within that noise, how far from the edge it lies.
+//! are followed by the sheets themselves. Positions are noisy across the edge, too, where an angle may be right of either
+//! sheet: so each point may choose, within that noise, how far from the edge it lies.
 
 use nalgebra::{Matrix4, Vector4};
 

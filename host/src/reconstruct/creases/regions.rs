@@ -5,9 +5,10 @@
 //! as the points are dense enough to follow; at a crease the prediction fails on both sides. It also fails where
 //! a surface bends faster than the points show, so every boundary between two regions is tried:
 //! it is a crease only where both sheets, carried on from their own side, meet between the points at an
-//! angle, no point near by contradicts them, and the points beside it do not turn gradually (`ramp`: on the lip of a mug, of
-//! two spacings' radius, sheets bend so far that what is left between them looks like an edge). Regions on both sides of any other boundary are joined, unless both
-//! break with others: such sheets are what they seem, and stay apart where nothing shows that one goes on as the other.
+//! angle, no point near by contradicts them, and the normals beside it do not turn gradually (`ramp`: on the lip of a mug, of
+//! two spacings' radius, sheets bend so far that what is left between them looks like an edge). Regions on both sides
+//! of any other boundary are joined, unless both break with others: such sheets are what they seem, and stay apart where
+//! nothing shows that one goes on as the other.
 //! What a gap parts joins again if one plane explains both sides, or the quadric of a large region a small one.
 
 use super::ramp;
@@ -56,8 +57,6 @@ const SHARE_MIN: f64 = 0.7;
 /// points on a mug's bottom rounding, of a spacing's radius, seemed to end in one of 40.
 const PATCH_MAX: usize = 20;
 const PATCH_TURN: f64 = 0.87;
-/// Mean squared residual, in variances and against the degrees of freedom, up to which a plane or quadric explains a region.
-const EXPLAINED: f64 = 1.5;
 /// Distance from an edge, in spacings, within which points show whether it is one; the same along the edge, from the middle of a stretch.
 const EDGE_SIGHT: f64 = 3.5;
 const STRETCH: f64 = 5.0;
@@ -717,8 +716,7 @@ impl<'a> Regions<'a> {
     /// Whether one plane or quadric explains points of a region.
     fn explained(&self, points: &[u32]) -> bool {
         let places: Vec<Place> = points.iter().map(|i| self.place(*i)).collect();
-        let free = (3 * places.len()).saturating_sub(10) as f64;
-        QuadricFit::quadric(&places).is_some_and(|fit| fit.misfit < EXPLAINED * free)
+        QuadricFit::quadric(&places).is_some_and(|fit| fit.explains_its_own(places.len()))
     }
 
     /// Whether the normals turn gradually where two sheets seem to cross, or too few points tell.
