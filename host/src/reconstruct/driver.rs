@@ -1010,6 +1010,9 @@ pub(super) fn count_beyond(distances: impl Iterator<Item = f64>, tolerance: f64)
     distances.filter(|distance| *distance > tolerance).count()
 }
 
+/// Angle between a contact's normal and the surface's from which the report speaks of it.
+const TURNED_DEGREES: f64 = 60.0;
+
 /// Measures the surface and fills the report.
 fn finish(
     out: &mut Reconstruction,
@@ -1038,11 +1041,17 @@ fn finish(
     out.report.error = Some(figures(
         distances(data, &last.feet).map(|d| d * frame.scale),
     ));
-    let (mut sum, mut max, mut count) = (0.0, 0.0f64, 0usize);
+    let (mut sum, mut max, mut count, mut turned) = (0.0, 0.0f64, 0usize, 0usize);
     for angle in normal_angles(data, &last.feet) {
         sum += angle;
         max = max.max(angle);
         count += 1;
+        turned += usize::from(angle > TURNED_DEGREES);
+    }
+    if turned > 0 {
+        out.report.notes.push(format!(
+            "{turned} contact(s) with normals more than {TURNED_DEGREES} degrees off the surface where they lie: touched at an edge, with the normal of its other side, or false"
+        ));
     }
     out.report.normals = Some(NormalFigures {
         mean_degrees: sum / count.max(1) as f64,
@@ -1122,5 +1131,35 @@ mod tests {
         let patches = smooth.faces.len();
         let crowded = unit_ball(3 * patches);
         assert!(!is_torn(patches + 1, &crowded, &Options::default(), &|_| ()).unwrap());
+    }
+
+    /// Exact contacts of a cube, and some beyond an edge that still tell the normal of the side they come from.
+    fn cube_with_lagging_normals() -> Cloud {
+        let mesh = crate::mesh::shapes::cube(10);
+        let mut cloud = unit_ball(mesh.faces.len());
+        for (point, face) in cloud.points.iter_mut().zip(&mesh.faces) {
+            let [a, b, c] = face.map(|v| mesh.positions[v as usize]);
+            point.position = (a + b + c) / 3.0;
+            point.normal = (b - a).cross(&(c - a)).normalize();
+        }
+        for k in 0..24 {
+            let along = -0.92 + 0.08 * f64::from(k);
+            let mut point = cloud.points[0];
+            point.position = Vec3::new(1.0, 1.0 - 0.002 * f64::from(k % 5), along);
+            point.normal = Vec3::y();
+            cloud.points.push(point);
+        }
+        cloud
+    }
+
+    #[test]
+    fn normals_that_lag_at_an_edge_cost_no_patches() {
+        let cloud = cube_with_lagging_normals();
+        let report = run(&cloud, &Options::default(), &|_| ()).unwrap().report;
+        let (surface, error) = (report.surface.unwrap(), report.error.unwrap());
+        println!("{surface:?} {error:?}");
+        assert!(surface.crease_edges >= 12);
+        assert!(surface.patches < 60, "{}", surface.patches);
+        assert!(error.met && error.outliers < 6, "{error:?}");
     }
 }

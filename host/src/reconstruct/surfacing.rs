@@ -118,24 +118,25 @@ pub fn refine(
     let mut best: Option<(f64, Fitted, usize)> = None;
     let mut levels = 0;
     let mut without_gain = 0;
+    let mut hopeless = Hopeless::of(data.len());
     let end = loop {
         let badness = badness(&current, &data, options);
         let gained = best.as_ref().is_none_or(|(least, ..)| badness < *least);
         without_gain = if gained { 0 } else { without_gain + 1 };
         let fits = face_fits(current.base.faces.len(), &data, &current.feet);
-        let beyond: Vec<bool> = fits.iter().map(|f| f.max > options.tolerance).collect();
-        let split: Vec<bool> = fits
+        let beyond = fits.iter().any(|f| f.max > options.tolerance);
+        let lacking: Vec<bool> = fits
             .iter()
-            .zip(&beyond)
-            .map(|(fit, beyond)| *beyond && fit.is_lack_of_fit(options.noise_sigma))
+            .map(|f| f.max > options.tolerance && f.is_lack_of_fit(options.noise_sigma))
             .collect();
+        let split = hopeless.faces_with_hope(&lacking, &data, &current.feet, options.tolerance);
         let next = next_base(&current, &split, project)?;
         let faces = next.faces.len();
-        let end = if !beyond.contains(&true) {
+        let end = if !beyond {
             Some(RefineEnd::Met)
-        } else if !split.contains(&true) {
+        } else if !lacking.contains(&true) {
             Some(RefineEnd::Noise)
-        } else if without_gain > PATIENCE {
+        } else if without_gain > PATIENCE || !split.contains(&true) {
             Some(RefineEnd::NoGain)
         } else if levels == options.max_levels {
             Some(RefineEnd::LevelLimit)
@@ -174,6 +175,59 @@ const LEAST_FIELD_WEIGHT: f64 = 0.01;
 /// and be mended in the next.
 const PATIENCE: usize = 1;
 
+/// Data that finer patches bring no closer: a face is not split again for their sake.
+///
+/// Two ways were weighed: to end refinement as a whole once a level gains nothing, which goes on splitting around a few
+/// contacts that contradict all others for as long as anything improves anywhere; and to remember for each datum whether the
+/// last levels helped it. The second is taken, with the first behind it.
+struct Hopeless {
+    /// By how much each datum lay beyond the tolerance a level ago, if its face was split then.
+    excess: Vec<Option<f64>>,
+    /// Levels in a row that brought it hardly closer.
+    in_vain: Vec<usize>,
+}
+
+/// Levels in a row that may bring a datum no closer.
+const TRIES: usize = 2;
+/// A level that leaves more than this share of what lies beyond the tolerance was in vain.
+const HARDLY_CLOSER: f64 = 0.8;
+
+impl Hopeless {
+    fn of(data: usize) -> Self {
+        Self {
+            excess: vec![None; data],
+            in_vain: vec![0; data],
+        }
+    }
+
+    /// The faces among `lacking` that hold a datum beyond the tolerance that a further level may bring closer.
+    fn faces_with_hope(
+        &mut self,
+        lacking: &[bool],
+        data: &[Datum],
+        feet: &[Option<Foot>],
+        tolerance: f64,
+    ) -> Vec<bool> {
+        let mut split = vec![false; lacking.len()];
+        for (number, (datum, foot)) in data.iter().zip(feet).enumerate() {
+            let (Kind::Measured, Some(foot)) = (datum.kind, foot) else {
+                continue;
+            };
+            let now = (datum.position - foot.point).norm() - tolerance;
+            match self.excess[number] {
+                Some(before) if now > HARDLY_CLOSER * before => self.in_vain[number] += 1,
+                Some(_) => self.in_vain[number] = 0,
+                None => {}
+            }
+            let face = foot.face as usize;
+            let beyond = now > 0.0 && lacking[face];
+            self.excess[number] = beyond.then_some(now);
+            split[face] |= beyond && self.in_vain[number] < TRIES;
+        }
+        split
+    }
+}
+
 /// The base mesh of the next level.
 fn next_base(
     current: &Fitted,
@@ -202,12 +256,14 @@ fn next_base(
 }
 
 /// How far a surface is from what is asked, to compare levels: the sum of what lies beyond the tolerance, and
-/// a large price for every folded patch.
+/// a large price for every folded patch; times the root of the number of patches, so that twice as many have to bring it down
+/// by three tenths.
 fn badness(fitted: &Fitted, data: &[Datum], options: &SurfacingOptions) -> f64 {
     let beyond: f64 = distances(data, &fitted.feet)
         .map(|d| (d - options.tolerance).max(0.0))
         .sum();
-    beyond + 10.0 * options.tolerance * fitted.surface.folded_patches().len() as f64
+    let folded = 10.0 * options.tolerance * fitted.surface.folded_patches().len() as f64;
+    (beyond + folded) * (fitted.base.faces.len() as f64).sqrt()
 }
 
 /// Distance of each measured datum to its foot point.
@@ -233,4 +289,41 @@ pub fn normal_angles<'a>(
             let normal: Vec3 = foot.as_ref()?.normal()?;
             Some(crate::spline::angle_degrees(normal, datum.normal))
         })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_face_is_split_for_a_datum_only_while_that_brings_it_closer() {
+        let at = |height: f64| Foot {
+            face: 0,
+            barycentric: [1.0, 0.0, 0.0],
+            point: Vec3::z() * height,
+            tangents: [Vec3::x(), Vec3::y()],
+            along: None,
+        };
+        let datum = |kind| Datum {
+            position: Vec3::zeros(),
+            normal: Vec3::z(),
+            weight: 1.0,
+            normal_weight: 1.0,
+            kind,
+        };
+        let splits = |kind, heights: &[f64]| -> Vec<bool> {
+            let mut hopeless = Hopeless::of(1);
+            let level = |height: &f64| {
+                let (data, feet) = ([datum(kind)], [Some(at(*height))]);
+                hopeless.faces_with_hope(&[true], &data, &feet, 0.1)[0]
+            };
+            heights.iter().map(level).collect()
+        };
+        let measured = |heights: &[f64]| splits(Kind::Measured, heights);
+        // In vain twice in a row; once, and then closer; within the tolerance.
+        assert_eq!(measured(&[0.9, 0.9, 0.85]), [true, true, false]);
+        assert_eq!(measured(&[0.9, 0.9, 0.5, 0.5]), [true; 4]);
+        assert_eq!(measured(&[0.9, 0.05]), [true, false]);
+        assert_eq!(splits(Kind::Field, &[0.9]), [false]);
+    }
 }

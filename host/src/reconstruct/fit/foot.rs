@@ -42,6 +42,8 @@ impl Foot {
 const STEPS: usize = 8;
 /// Gauss-Newton steps; they converge quadratically from a start within a tenth of a patch.
 const ITERATIONS: usize = 12;
+/// A barycentric coordinate below this lies at the edge.
+const AT_EDGE: f64 = 0.02;
 
 /// A network with its control points, ready to be searched.
 pub struct Finder<'a> {
@@ -91,6 +93,38 @@ impl<'a> Finder<'a> {
             tree: ImmutableKdTree::new_from_slice(&entries).ok(),
             normal_scale,
         }
+    }
+
+    /// Ready only to improve foot points that are known.
+    pub fn of_known(network: &'a Network, points: &[Vec3]) -> Self {
+        Self {
+            network,
+            patches: network.patches(points),
+            starts: Vec::new(),
+            tree: None,
+            normal_scale: 0.0,
+        }
+    }
+
+    /// The foot point on the other side of the crease at which `foot` lies, if the position is at least twice as near to it.
+    pub fn across_crease(&self, position: Vec3, foot: &Foot) -> Option<Foot> {
+        let face = foot.face as usize;
+        let distance = |foot: &Foot| (position - foot.point).norm();
+        let held = |local: usize| foot.barycentric[(local + 2) % 3] < AT_EDGE;
+        let is_crease =
+            |local: usize| !self.network.smooth[self.network.table.of_face[face][local] as usize];
+        let others = (0..3).filter(|local| held(*local) && is_crease(*local));
+        others
+            .filter_map(|local| {
+                let side = self.network.table.across(face, local)?;
+                let other = usize::from(side.local);
+                let mut there = [0.0; 3];
+                there[other] = foot.barycentric[(local + 1) % 3];
+                there[(other + 1) % 3] = foot.barycentric[local];
+                Some(self.improve(position, side.face, normalised(there)))
+            })
+            .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+            .filter(|other| 2.0 * distance(other) < distance(foot))
     }
 
     /// The foot point of a position with a measured normal.

@@ -175,6 +175,7 @@ pub fn fit(
     }
     fitting.make_exact();
     fitting.unfold(&mut history)?;
+    fitting.cross_creases();
     Ok(Fit {
         points: fitting.points,
         feet: fitting.feet,
@@ -373,6 +374,21 @@ impl Fitting<'_> {
             history.push(measured_rms(self.data, &self.feet));
         }
         Ok(())
+    }
+
+    /// Contacts that a sheet misses by more than the outlier scale although they lie on the other sheet at its crease
+    /// get their foot points there: the normal of a finger that slips over an edge lags behind its place. They are on
+    /// the surface, and finer patches would not bring the sheet that their normals name closer.
+    fn cross_creases(&mut self) {
+        let finder = Finder::of_known(self.network, &self.points);
+        for (datum, foot) in self.data.iter().zip(&mut self.feet) {
+            if let (Kind::Measured, Some(foot)) = (datum.kind, foot)
+                && (datum.position - foot.point).norm() > self.options.outlier_scale
+                && let Some(other) = finder.across_crease(datum.position, foot)
+            {
+                *foot = other;
+            }
+        }
     }
 
     /// Patches whose normal turns over.

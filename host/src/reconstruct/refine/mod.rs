@@ -4,7 +4,8 @@
 //! surface, not the noise, is to blame: the residuals of a face that fits are as large as the noise and
 //! change sign; those of one that is too coarse are larger or all lie on one side, also without the largest of them. So
 //! refinement never chases noise or a single false contact, and a tolerance below the noise ends with that reason instead
-//! of with thousands of patches.
+//! of with thousands of patches. Nor is a face split again for the sake of a contact that two levels brought no closer, and a
+//! level is kept only if what it gains is worth its patches ([`super::surfacing::refine`]).
 
 pub mod templates;
 
