@@ -245,8 +245,8 @@ const SIMPLIFY_BYTES_PER_TRIANGLE: usize = 800;
 /// Accuracy of the base mesh against the tolerance, and against the noise. Patches that miss the field's surface by 0.3
 /// of the noise add nothing to the error that the data leave (15 noisy sets of smooth shapes: median 0.69e-3 of the
 /// diagonal at 0.3, 0.70 at 0.25 and 0.15). A tolerance that was asked for is met with few patches (torus within 5e-4: 190);
-/// the default one is a bound, and exact data deserve better (14 sets: 0.074e-3 rms at 0.3, 0.067 at 0.22 with a seventh more patches and a tenth more time,
-/// 0.081 at 0.5).
+/// the default one is a bound, and exact data deserve better (14 sets: 0.074e-3 rms at 0.3, 0.067 at 0.22 with a seventh
+/// more patches and a tenth more time, 0.081 at 0.5).
 const ACCURACY_OF_TOLERANCE: f64 = 0.58;
 const ACCURACY_OF_DEFAULT_TOLERANCE: f64 = 0.3;
 const ACCURACY_OF_NOISE: f64 = 0.3;

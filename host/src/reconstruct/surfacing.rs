@@ -181,7 +181,7 @@ const PATIENCE: usize = 1;
 /// contacts that contradict all others for as long as anything improves anywhere; and to remember for each datum whether the
 /// last levels helped it. The second is taken, with the first behind it.
 struct Hopeless {
-    /// By how much each datum lay beyond the tolerance a level ago, if its face was split then.
+    /// By how much each datum lay beyond the tolerance a level ago, if its face lacked fit then.
     excess: Vec<Option<f64>>,
     /// Levels in a row that brought it hardly closer.
     in_vain: Vec<usize>,

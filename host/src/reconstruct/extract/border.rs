@@ -27,14 +27,14 @@ use super::contacts::Normalised;
 /// hole of a scanned bunny's base has 2 %, the missing half of a half-touched ball 100 %, a bowl's opening 60 %.
 pub(super) const CLOSED_SHARE: f64 = 0.12;
 
-/// Share of the supported area up to which a place without support is a speck, not a hole: a few faces that a jag of the
-/// lattice turned away from their contacts.
-const SPECK_SHARE: f64 = 0.002;
-
 /// The same where the field's surface comes farther than the search reaches from the contacts that could lie on its sheet, and
 /// yet ends in itself: the far side of a tube that one track tells of (the handles of two mugs from 374 contacts, 0.3 and 2 %;
 /// left open the tube is missing, 16e-3 of the diagonal off instead of 5e-3).
 const FAR_SHARE: f64 = 0.04;
+
+/// Share of the supported area up to which a place without support is a speck, not a hole: a few faces that a jag of the
+/// lattice turned away from their contacts.
+const SPECK_SHARE: f64 = 0.002;
 
 /// What happened to one hole of the data.
 #[derive(Clone, Copy, Debug, PartialEq)]
