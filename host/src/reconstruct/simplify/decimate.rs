@@ -46,36 +46,46 @@ impl Ord for Entry {
     }
 }
 
+/// Edges by the length asked for, shortest first. Only those that a collapse stretches anew, and those refused before where it
+/// changes the star, are entered again: a fourth of the edges around.
+struct Queue {
+    entries: BinaryHeap<Reverse<Entry>>,
+    /// Per half-edge: goes up when its edge is entered, so that earlier entries are skipped.
+    stamps: Vec<u32>,
+    /// Per half-edge: its collapse was refused, and nothing has changed there since.
+    refused: Vec<bool>,
+}
+
 /// Collapses until at most `target` faces are left or no collapse holds to the limits.
 pub(super) fn decimate(work: &mut Work<'_>, target: usize) {
-    let mut queue = BinaryHeap::new();
-    let mut stamps = vec![0u32; work.mesh.vertex_slots()];
+    let half_edges = 3 * work.mesh.face_slots();
+    let mut queue = Queue {
+        entries: BinaryHeap::new(),
+        stamps: vec![0; half_edges],
+        refused: vec![false; half_edges],
+    };
     for h in work.mesh.edges() {
-        enter(work, &mut queue, &stamps, h);
+        queue.enter(work, h);
     }
+    let mut edges: Vec<u32> = Vec::new();
     while work.mesh.face_count() > target.max(4) {
-        let Some(Reverse(entry)) = queue.pop() else {
+        let Some(Reverse(entry)) = queue.entries.pop() else {
             break;
         };
         let h = entry.half_edge;
-        if !work.mesh.is_live(h) || ends(&work.mesh, h) != entry.ends {
-            continue;
-        }
-        let [a, b] = entry.ends;
-        if entry.stamp != stamps[a as usize].wrapping_add(stamps[b as usize]) {
+        if !work.mesh.is_live(h)
+            || ends(&work.mesh, h) != entry.ends
+            || entry.stamp != queue.stamps[h as usize]
+        {
             continue;
         }
         let Some(kept) = collapse_best(work, h, STRETCH_MAX, FITNESS_MIN) else {
+            queue.refused[h as usize] = true;
             continue;
         };
         // The star has changed: what was refused there may now be allowed, and the other way round.
-        stamps[kept as usize] += 1;
-        let ring: Vec<u32> = work.mesh.neighbours(kept).collect();
-        for &v in &ring {
-            stamps[v as usize] += 1;
-        }
-        let mut edges: Vec<u32> = Vec::new();
-        for &v in ring.iter().chain([&kept]) {
+        edges.clear();
+        for v in work.mesh.neighbours(kept).chain([kept]) {
             for g in work.mesh.around(v) {
                 edges.extend([g, HalfEdgeMesh::prev(g)]);
             }
@@ -86,8 +96,10 @@ pub(super) fn decimate(work: &mut Work<'_>, target: usize) {
         }
         edges.sort_unstable();
         edges.dedup();
-        for e in edges {
-            enter(work, &mut queue, &stamps, e);
+        for e in &edges {
+            if queue.refused[*e as usize] || ends(&work.mesh, *e).contains(&kept) {
+                queue.enter(work, *e);
+            }
         }
     }
 }
@@ -97,16 +109,21 @@ fn ends(mesh: &HalfEdgeMesh, h: u32) -> [u32; 2] {
     [a.min(b), a.max(b)]
 }
 
-fn enter(work: &Work<'_>, queue: &mut BinaryHeap<Reverse<Entry>>, stamps: &[u32], h: u32) {
-    let ends = ends(&work.mesh, h);
-    let cost = work.stretch(h);
-    if cost < STRETCH_MAX {
-        queue.push(Reverse(Entry {
-            cost,
-            half_edge: h,
-            ends,
-            stamp: stamps[ends[0] as usize].wrapping_add(stamps[ends[1] as usize]),
-        }));
+impl Queue {
+    fn enter(&mut self, work: &Work<'_>, h: u32) {
+        let ends = ends(&work.mesh, h);
+        let cost = work.stretch(h);
+        let stamp = &mut self.stamps[h as usize];
+        *stamp += 1;
+        self.refused[h as usize] = false;
+        if cost < STRETCH_MAX {
+            self.entries.push(Reverse(Entry {
+                cost,
+                half_edge: h,
+                ends,
+                stamp: *stamp,
+            }));
+        }
     }
 }
 
