@@ -73,7 +73,9 @@ pub(super) fn decimate(work: &mut Work<'_>, target: usize) {
             break;
         };
         let h = entry.half_edge;
+        // An edge goes by the lower of its half-edges; collapses beside it may bring a lower one.
         if !work.mesh.is_live(h)
+            || work.mesh.twin(h) < h
             || ends(&work.mesh, h) != entry.ends
             || entry.stamp != queue.stamps[h as usize]
         {
