@@ -119,10 +119,7 @@ impl SurfaceLocator {
                 let Some(side) = self.table.across(best.face, local) else {
                     continue;
                 };
-                let other = usize::from(side.local);
-                let mut start = [0.0; 3];
-                start[other] = best.barycentric[(local + 1) % 3];
-                start[(other + 1) % 3] = best.barycentric[local];
+                let start = side.coordinates(local, &best.barycentric);
                 let found = self.descend(side.face as usize, start, point);
                 if better.is_none_or(|b: SurfaceFoot| found.distance < b.distance) {
                     better = Some(found);

@@ -37,6 +37,18 @@ pub struct Side {
     pub local: u8,
 }
 
+impl Side {
+    /// Barycentric coordinates in this side's face of a place on the edge, given by those in the face across, of which the edge
+    /// is number `local`; the coordinate off the edge is dropped.
+    pub fn coordinates(&self, local: usize, across: &[f64; 3]) -> [f64; 3] {
+        let own = usize::from(self.local);
+        let mut here = [0.0; 3];
+        here[own] = across[(local + 1) % 3];
+        here[(own + 1) % 3] = across[local];
+        here
+    }
+}
+
 /// An edge of the triangulation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Edge {
@@ -191,7 +203,10 @@ mod tests {
         assert_eq!(table.edges.len(), 5);
         let shared = table.find(2, 1).unwrap();
         assert!(!table.edges[shared].is_border());
-        assert_eq!(table.across(0, 1), Some(Side { face: 1, local: 0 }));
+        let across = table.across(0, 1).unwrap();
+        assert_eq!(across, Side { face: 1, local: 0 });
+        // Vertex 1 counts a quarter, vertex 2 three quarters.
+        assert_eq!(across.coordinates(1, &[0.0, 0.25, 0.75]), [0.75, 0.25, 0.0]);
         assert_eq!(Sectors::new(&faces, &table, |_| true).vertex.len(), 4);
         assert_eq!(Sectors::new(&faces, &table, |_| false).vertex.len(), 6);
     }

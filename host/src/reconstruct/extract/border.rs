@@ -128,7 +128,7 @@ pub(super) fn close_or_open(
     let on_border = border_vertices(mesh);
     let mut holes: Vec<Hole> = Vec::new();
     let mut number: HashMap<usize, usize> = HashMap::new();
-    let (mut at_border, mut far): (Vec<bool>, Vec<bool>) = Default::default();
+    let mut far: Vec<bool> = Vec::new();
     let mut supported = 0.0;
     for v in 0..mesh.positions.len() {
         if !inside(v as u32) {
@@ -145,7 +145,6 @@ pub(super) fn close_or_open(
                 closed: false,
             });
         }
-        at_border.resize(holes.len(), false);
         far.resize(holes.len(), false);
         let hole = &mut holes[n];
         if support[v] > hole.depth {
@@ -155,7 +154,6 @@ pub(super) fn close_or_open(
         // What no contact faces may still be closed: a pocket that ends in itself. Where it runs off it has a border.
         far[n] |= support[v] >= closing.reach && support[v].is_finite();
         hole.bounded &= !on_border[v];
-        at_border[n] |= on_border[v];
     }
     for f in &mesh.faces {
         let [a, b, c] = f.map(|i| mesh.positions[i as usize]);
@@ -169,10 +167,9 @@ pub(super) fn close_or_open(
             None => supported += area,
         }
     }
-    for ((hole, at_border), far) in holes.iter_mut().zip(at_border).zip(far) {
+    for (hole, far) in holes.iter_mut().zip(far) {
         hole.area_share /= f64::max(supported, f64::MIN_POSITIVE);
         hole.bounded &= !far || hole.area_share <= FAR_SHARE;
-        hole.bounded |= hole.area_share <= SPECK_SHARE && !at_border;
         hole.closed = hole.bounded
             && match closing.deepest {
                 Some(deepest) => hole.depth <= deepest || hole.area_share <= SPECK_SHARE,

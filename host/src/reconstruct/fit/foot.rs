@@ -58,7 +58,8 @@ impl<'a> Finder<'a> {
     /// Samples every patch. `normal_scale` is the distance that counts as much as two normals at 60
     /// degrees (in the unit of the points).
     pub fn new(network: &'a Network, points: &[Vec3], normal_scale: f64) -> Self {
-        let patches = network.patches(points);
+        let known = Self::of_known(network, points);
+        let patches = &known.patches;
         let samples: Vec<(u32, [f64; 3], [f64; 6])> = (0..patches.len())
             .into_par_iter()
             .flat_map_iter(|face| {
@@ -87,11 +88,10 @@ impl<'a> Finder<'a> {
             .map(|s| s.2.map(|x| if x.is_finite() { x } else { 0.0 }))
             .collect();
         Self {
-            network,
-            patches,
             starts: samples.iter().map(|s| (s.0, s.1)).collect(),
             tree: ImmutableKdTree::new_from_slice(&entries).ok(),
             normal_scale,
+            ..known
         }
     }
 
@@ -117,11 +117,8 @@ impl<'a> Finder<'a> {
         others
             .filter_map(|local| {
                 let side = self.network.table.across(face, local)?;
-                let other = usize::from(side.local);
-                let mut there = [0.0; 3];
-                there[other] = foot.barycentric[(local + 1) % 3];
-                there[(other + 1) % 3] = foot.barycentric[local];
-                Some(self.improve(position, side.face, normalised(there)))
+                let there = normalised(side.coordinates(local, &foot.barycentric));
+                Some(self.improve(position, side.face, there))
             })
             .min_by(|a, b| distance(a).total_cmp(&distance(b)))
             .filter(|other| 2.0 * distance(other) < distance(foot))
@@ -286,10 +283,7 @@ impl<'a> Finder<'a> {
                 if self.network.smooth[edge as usize]
                     && !(came_over == Some(edge) && reach < 1e-9) =>
             {
-                let other = usize::from(side.local);
-                let mut there = [0.0; 3];
-                there[other] = moved[(local + 1) % 3];
-                there[(other + 1) % 3] = moved[local];
+                let there = side.coordinates(local, &moved);
                 ((side.face, there), Some(edge))
             }
             _ if reach < 1e-9 => {

@@ -389,6 +389,9 @@ impl Fitting<'_> {
     /// get their foot points there: the normal of a finger that slips over an edge lags behind its place. They are on
     /// the surface, and finer patches would not bring the sheet that their normals name closer.
     fn cross_creases(&mut self) {
+        if self.network.creases().is_empty() {
+            return;
+        }
         let finder = Finder::of_known(self.network, &self.points);
         for (datum, foot) in self.data.iter().zip(&mut self.feet) {
             if let (Kind::Measured, Some(foot)) = (datum.kind, foot)
